@@ -53,6 +53,7 @@ RECORDS = {
     "Metrics",
     "ObjectClasses",
     "Outlines",
+    "PoseState",
     "Recording",
     "Run",
     "SamplingContext",
@@ -68,6 +69,7 @@ RECORDS = {
     "VolumeBelief",
     "VolumeStrategicBelief",
     "GuidanceField",
+    "WayPoints",
     "WeightedCost",
 }
 """Classes whose objects the library makes: a user reads them, and calls no constructor."""

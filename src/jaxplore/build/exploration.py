@@ -101,9 +101,11 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         # Without a detector, objects other than the targets mean nothing to the robot.
         objects=None if settings.detector is None else world.objects,
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
-        faults=build_faults(settings.faults),
+        faults=build_faults(settings.faults, world.datum),
         chassis=build_chassis(settings.chassis, settings.robot, float(robot.radius)),
-        localisation=build_localisation(settings, sensors[0], world.grid.resolution),
+        localisation=build_localisation(
+            settings, sensors[0], world.grid.resolution, is_map_known=world.prior is not None
+        ),
         planted=None if settings.anomalies is None else world.planted,
         datum=world.datum,
         **arguments(settings, ExplorationScenario),

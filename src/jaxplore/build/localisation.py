@@ -1,12 +1,15 @@
 """The localisation of a robot, from settings."""
 
 import math
+from typing import Any
 
 from jaxplore.belief.certainty import CertaintyField
 from jaxplore.dynamics.uncertain import UncertainRobot
 from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.localiser import Localiser
 from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.particle_localiser import ParticleLocaliser
+from jaxplore.localisation.particles import ParticleFilter
 from jaxplore.sensing.beams import Beams
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings
@@ -14,13 +17,19 @@ from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
-def build_localisation(settings: Settings, sensor: Beams, resolution: float) -> Localisation | None:
+def build_localisation(
+    settings: Settings, sensor: Beams, resolution: float, *, is_map_known: bool = False
+) -> Localisation | None:
     """Build what lets a robot find its pose; None for one that knows it.
 
     Args:
         settings: settings of the run.
         sensor: the first sensor.
         resolution: side of a cell of the map [m].
+        is_map_known: whether the robot knows a map in advance.
+
+    Raises:
+        ValueError: particles without a known map, or with a bound of the uncertainty.
     """
     given = settings.localisation
     if given is None:
@@ -32,11 +41,30 @@ def build_localisation(settings: Settings, sensor: Beams, resolution: float) -> 
         **arguments(given, Odometry)
         | {name: math.radians(getattr(given, f"{name}_degrees")) for name in angles}
     )
+    common: dict[str, Any] = {
+        "certainty": CertaintyField(sensor, resolution) if is_planned else None,
+        **arguments(given, Localisation),
+    }
+    if given.method == "particles":
+        if not is_map_known:
+            raise ValueError(
+                "setting localisation.method is 'particles' without a known map; accepted: "
+                "is_map_known true, or a world, which says what is known of it"
+            )
+        if given.most_uncertainty is not None:
+            raise ValueError(
+                f"setting localisation.most_uncertainty is {given.most_uncertainty:g} with "
+                "localisation.method particles; accepted: none, for it closes no loops"
+            )
+        known = ParticleFilter(odometry, **arguments(given, ParticleFilter))
+        localiser = ParticleLocaliser(
+            known, spacing=given.spacing, **arguments(given, ParticleLocaliser)
+        )
+        return Localisation(localiser=localiser, **common)
     return Localisation(
         localiser=Localiser(odometry, **arguments(given, Localiser)),
-        certainty=CertaintyField(sensor, resolution) if is_planned else None,
         closer=LoopCloser(**arguments(given, LoopCloser)) if given.loops else None,
-        **arguments(given, Localisation),
+        **common,
     )
 
 
@@ -50,5 +78,5 @@ def uncertain_robot(scenario: ExplorationScenario, rate: float) -> UncertainRobo
     known = scenario.localisation
     if known is None or known.certainty is None:
         return None
-    added = known.localiser.odometry.distance_noise**2
+    added = known.localiser.expected_odometry.distance_noise**2
     return UncertainRobot(scenario.robot, known.certainty.blank(), added, rate)

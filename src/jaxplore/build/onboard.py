@@ -29,8 +29,8 @@ from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NO_PART = (
-    *("map", "world", "start", "goal", "office", "terrain", "camera", "watch", "altitude"),
-    *("faults", "variation", "latency", "guard"),
+    *("map", "is_map_known", "world", "start", "goal", "office", "terrain", "camera", "watch"),
+    *("altitude", "faults", "variation", "latency", "guard"),
 )
 """Settings of a simulated world, and of parts that a pilot does not have or has of its own."""
 
@@ -147,6 +147,11 @@ def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation 
     given = settings.localisation
     if node.pose == "external" or given is None:
         return None, settings
+    if given.method != "matching":
+        raise ValueError(
+            f"setting localisation.method is {given.method!r} with node.pose internal; accepted: "
+            "'matching', for the robot makes its own map"
+        )
     for name, accepted in (("uncertainty_weight", 0.0), ("most_uncertainty", None)):
         value = getattr(given, name)
         if value != accepted:

@@ -26,6 +26,7 @@ from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.chassis import Chassis
 from jaxplore.geometry.footprint import Rectangle
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.detector import Detector
@@ -155,10 +156,22 @@ def build_recognition(given: DetectorSettings | None) -> Recognition | None:
     return Recognition(detector, **arguments(given, Recognition))
 
 
-def build_faults(given: FaultSettings) -> Faults | None:
-    """Build the injected faults; none at all by default, which leaves them out of the program."""
+def build_faults(given: FaultSettings, datum: Datum = ORIGIN) -> Faults | None:
+    """Build the injected faults; none at all by default, which leaves them out of the program.
+
+    Args:
+        given: settings of the faults.
+        datum: point of the map's coordinates to which positions are relative.
+
+    Raises:
+        ValueError: a pose to be carried to without a time.
+    """
     injected = arguments(given, Faults)
-    return None if injected == arguments(FaultSettings(), Faults) else Faults(**injected)
+    if injected == arguments(FaultSettings(), Faults):
+        return None
+    if given.carried_to is not None:
+        injected["carried_to"] = datum.to_local(given.carried_to)
+    return Faults(**injected)
 
 
 def build_variation(given: VariationSettings) -> Variation | None:

@@ -73,7 +73,7 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
     if settings.map == OFFICE:
         grid = office(**arguments(settings.office, office), **arguments(settings, office))
         start = start_pose(grid) if settings.start is None else settings.start
-        return RunWorld(grid, start, goal=settings.goal)
+        return RunWorld(grid, start, _known(grid, settings), goal=settings.goal)
     if settings.map == ZONES:
         return _in_world(three_zones(), settings)
     return _in_world(World.from_yaml(settings.map), settings)
@@ -140,7 +140,13 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
     else:
         start = _local_pose(settings.start, datum)
     goal = None if settings.goal is None else _local(settings.goal, datum)
-    return RunWorld(grid, start, goal=goal, ground=ground, datum=datum)
+    prior = _known(grid, settings)
+    return RunWorld(grid, start, prior, goal=goal, ground=ground, datum=datum)
+
+
+def _known(grid: OccupancyGrid, settings: Settings) -> OccupancyGrid | None:
+    """Return a true map as the robot knows it in advance; None if it does not."""
+    return grid if settings.is_map_known else None
 
 
 def _local(position: tuple[float, ...], datum: Datum) -> tuple[float, ...]:

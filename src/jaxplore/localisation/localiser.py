@@ -1,20 +1,22 @@
 """Where a robot is: odometry between scans, matching of scans, and scans that are stored."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Count, Pose, Scalar
+from jaxplore._types import ArrayLike, Count, Flag, Key, Pose, Scalar
 from jaxplore.geometry.motion import Matrix, between, compose, moved_covariance, rotation
+from jaxplore.localisation.estimator import PoseEstimator
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.scan_matching import ScanMatcher
 from jaxplore.localisation.stored_scans import Closures, StoredScans
 from jaxplore.localisation.surface import EndPoints, SurfaceMap
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.beams import Beams, Scan
 
 LEAST_MATCHED = 20
@@ -55,8 +57,13 @@ class LocaliserState(NamedTuple):
         total = self.drift + self.covariance
         return jnp.sqrt(0.5 * (total[0, 0] + total[1, 1]))
 
+    @property
+    def is_known(self) -> Flag:
+        """Whether the robot may drive by the pose: always, for the map is made at that pose."""
+        return jnp.array(True)
 
-class Localiser(eqx.Module):
+
+class Localiser(PoseEstimator):
     """Estimates the pose of a robot by odometry and scans, while it maps.
 
     Between scans the pose and its covariance follow the odometry. A scan is matched to the surfaces
@@ -75,6 +82,8 @@ class Localiser(eqx.Module):
     Raises:
         ValueError: a part of another class, a number that is not positive.
     """
+
+    is_mapping: ClassVar[bool] = True
 
     odometry: Odometry
     matcher: ScanMatcher
@@ -101,6 +110,20 @@ class Localiser(eqx.Module):
         self.turn = _checks.scalar("turn", turn, above=0.0)
         self.memory = _checks.scalar("memory", memory, above=0.0)
         self.capacity = _checks.positive_int("capacity", capacity)
+
+    @property
+    def expected_odometry(self) -> Odometry:
+        """Errors of the odometry that it expects: `odometry`."""
+        return self.odometry
+
+    def check_map(self, prior: OccupancyGrid | None) -> None:
+        """Accept any map that the robot knows in advance; see `PoseEstimator.check_map`."""
+
+    def start(
+        self, pose: Pose, grid: OccupancyGrid, sensors: Sequence[Beams], key: Key | None
+    ) -> LocaliserState:
+        """Return the state at the start; see `init`, and `PoseEstimator.start`."""
+        return self.init(pose, grid.frame, grid.shape, sensors)
 
     def init(
         self, pose: Pose, frame: GridFrame, shape: tuple[int, int], sensors: Sequence[Beams]

@@ -128,12 +128,21 @@ class MapLocaliser:
         perception: sensors, and what makes the map; that of the start.
         prior: map of the belief before the first scan.
         start: pose of the robot there (x, y, yaw) [m, m, rad].
+
+    Raises:
+        ValueError: a localisation on a known map, which a robot has none of here.
     """
 
     def __init__(
         self, localisation: Localisation, perception: Perception, prior: OccupancyGrid, start: Pose
     ) -> None:
-        self._localiser, self._closer = localisation.localiser, localisation.closer
+        localiser = localisation.localiser
+        if not isinstance(localiser, Localiser):
+            raise ValueError(
+                f"localisation has a {type(localiser).__name__}; accepted on a robot: a Localiser, "
+                "which makes its map"
+            )
+        self._localiser, self._closer = localiser, localisation.closer
         self._closing_period = 1.0 / localisation.closing_rate
         self._sensors = (perception.sensors[0],)
         self._prior, self._start = prior, start

@@ -47,6 +47,10 @@ class Alignment(NamedTuple):
         return Alignment(-self.yaw, -(self.translation @ self.rotation))
 
 
+SAME_FRAME = Alignment(0.0, np.zeros(2))
+"""Alignment of poses that are in the frame of the true ones."""
+
+
 class AbsoluteError(NamedTuple):
     """Error of a whole trajectory after its alignment.
 
@@ -122,8 +126,10 @@ def aligned(true: Rows, estimated: Rows) -> Alignment:
     return motion._replace(translation=p.mean(axis=0) - motion.moved(q.mean(axis=0)))
 
 
-def absolute_error(true: Rows, estimated: Rows) -> AbsoluteError:
-    """Return the absolute trajectory error (ATE): of poses after the alignment by `aligned`.
+def absolute_error(
+    true: Rows, estimated: Rows, alignment: Alignment | None = None
+) -> AbsoluteError:
+    """Return the absolute trajectory error (ATE): of poses after an alignment.
 
     Yaws are compared modulo 2 pi. The alignment is by positions alone, so the yaw of a robot that
     stood still has any error.
@@ -133,12 +139,15 @@ def absolute_error(true: Rows, estimated: Rows) -> AbsoluteError:
     Args:
         true: true poses (N, 3) as (x, y, yaw) [m, m, rad].
         estimated: estimated poses (N, 3) at the same times.
+        alignment: motion from the frame of the estimated poses to that of the true ones, such as
+            `SAME_FRAME`; that of `aligned` when absent.
 
     Raises:
         ValueError: as of `aligned`.
     """
+    _kinds.instance("alignment", alignment, Alignment, may_be_none=True)
     p, q = _pair(true, estimated, (3,))
-    motion = aligned(p, q)
+    motion = aligned(p, q) if alignment is None else alignment
     distance = np.hypot(*(motion.moved(q[:, :2]) - p[:, :2]).T)
     turn = _wrapped(q[:, 2] + motion.yaw - p[:, 2])
     return AbsoluteError(

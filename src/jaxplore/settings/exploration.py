@@ -201,6 +201,8 @@ class Settings(RunSettings):
         camera: the camera, which becomes the primary sensor; no camera when absent.
         localisation: odometry with errors and how the robot finds its pose; it knows its pose when
             absent.
+        is_map_known: whether the robot knows the map in advance; a world has entries for what it
+            knows.
         watch: settings of the idleness map, for search and patrol; none when absent.
         anomalies: the test for what differs from the known map; none when absent. It needs a watch.
         detector: the detector of objects by the first sensor; none when absent.
@@ -223,6 +225,7 @@ class Settings(RunSettings):
     goal_radius: Length | None = setting(ExplorationScenario, "goal_radius")
     max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
     hover_time: Wait = setting(ExplorationScenario, "hover_time")
+    is_map_known: bool = False
     altitude: Real = setting(Flight, "altitude")
     resolution: Spacing = setting(office, "resolution")
     time_limit: Duration = 900.0

@@ -1,23 +1,39 @@
 """Settings of a robot that does not know its pose."""
 
+from typing import Literal
+
 from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.localiser import Localiser
 from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.particle_localiser import ParticleLocaliser
+from jaxplore.localisation.particles import ParticleFilter
 from jaxplore.planning.presets.explorer import explorer
 from jaxplore.settings.defaults import in_degrees, setting
-from jaxplore.settings.sections import Length, NonNegative, Positive, Rate, Section, Share
+from jaxplore.settings.sections import (
+    Beams,
+    Length,
+    NonNegative,
+    Positive,
+    Rate,
+    Samples,
+    Section,
+    Share,
+)
 from jaxplore.simulation.exploration.located import Localisation
 
 
 class LocalisationSettings(Section):
     """Odometry with errors, and how the robot finds its pose: see
-    `jaxplore.localisation.Odometry`, `jaxplore.localisation.Localiser` and
-    `jaxplore.localisation.LoopCloser`.
+    `jaxplore.localisation.Odometry`, `jaxplore.localisation.Localiser`,
+    `jaxplore.localisation.LoopCloser` and `jaxplore.localisation.ParticleLocaliser`.
 
     Args:
+        method: `matching` matches scans while it maps; `particles` finds the pose on a map that is
+            known in advance, by a particle filter.
         loops: whether loops are closed.
     """
 
+    method: Literal["matching", "particles"] = "matching"
     distance_noise: NonNegative = setting(Odometry, "distance_noise")
     turn_per_distance_degrees: NonNegative = setting(Odometry, "turn_per_distance", in_degrees)
     turn_noise_degrees: NonNegative = setting(Odometry, "turn_noise", in_degrees)
@@ -27,6 +43,9 @@ class LocalisationSettings(Section):
     turn_per_metre: NonNegative = setting(Odometry, "turn_per_metre")
     gyro: NonNegative = setting(Odometry, "gyro")
     spacing: Length = setting(Localiser, "spacing")
+    num_particles: Samples = setting(ParticleFilter, "num_particles")
+    num_beams: Beams = setting(ParticleFilter, "num_beams")
+    is_start_known: bool = setting(ParticleLocaliser, "is_start_known")
     memory: Length = setting(Localiser, "memory")
     loops: bool = True
     uncertainty_weight: NonNegative = setting(explorer, "uncertainty_weight")

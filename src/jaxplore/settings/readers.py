@@ -147,9 +147,18 @@ _FLYING = _architectures(*QUADROTOR)
 _LOG_ODDS = Reader(
     "sensor_model.kind log_odds", lambda settings: settings.sensor_model.kind == "log_odds"
 )
+_MATCHING, _FILTERING = (
+    Reader(
+        f"runs with localisation.method {method}",
+        lambda settings, method=method: (  # type: ignore[misc]
+            settings.localisation is not None and settings.localisation.method == method
+        ),
+    )
+    for method in ("matching", "particles")
+)
 _CLOSING = Reader(
     "runs with a localisation that closes loops",
-    lambda settings: settings.localisation is not None and settings.localisation.loops,
+    lambda settings: _MATCHING.reads(settings) and settings.localisation.loops,
 )
 _FROM_A_FILE = Reader("paths from a file", lambda settings: settings.path != TRACK)
 _AMONG_OBSTACLES = Reader("runs with obstacles", _has_obstacles)
@@ -194,6 +203,9 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
     },
     "exploration": {
         "resolution": Reader("the map office, ROS maps", lambda settings: not _is_world(settings)),
+        "is_map_known": Reader(
+            "the map office, ROS maps", lambda settings: not _is_world(settings)
+        ),
         # Robots on the ground get it as well, and have no state for it.
         "altitude": EVERY,
         "adaptive_horizon": _ADAPTIVE,
@@ -218,6 +230,11 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
                 settings.localisation is not None and settings.architecture == "explorer"
             ),
         ),
+        "localisation.loops": _MATCHING,
+        "localisation.memory": _MATCHING,
+        "localisation.num_particles": _FILTERING,
+        "localisation.num_beams": _FILTERING,
+        "localisation.is_start_known": _FILTERING,
         "localisation.closing_rate": _CLOSING,
         "localisation.reach": _CLOSING,
         "localisation.least_share": _CLOSING,

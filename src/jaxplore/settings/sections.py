@@ -128,6 +128,8 @@ class FaultSettings(Section):
     lost_odometry: Interval = setting(Faults, "lost_odometry")
     frozen_odometry: Interval = setting(Faults, "frozen_odometry")
     control_delay: Delay = setting(Faults, "control_delay")
+    carried_at: Wait | None = setting(Faults, "carried_at")
+    carried_to: tuple[Real, Real, Real] | None = setting(Faults, "carried_to")
 
 
 class VariationSettings(Section):

@@ -1,4 +1,5 @@
-"""Fault injection: sensor dropouts, lost odometry, delayed commands, walls that appear."""
+"""Fault injection: sensor dropouts, lost odometry, delayed commands, walls that appear, a robot
+that is carried away."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +9,16 @@ from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DELAY
-from jaxplore._types import ArrayLike, ControlVector, Flag, GridMask, Scalar, StateVector, Vector
+from jaxplore._types import (
+    ArrayLike,
+    ControlVector,
+    Flag,
+    GridMask,
+    Pose,
+    Scalar,
+    StateVector,
+    Vector,
+)
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 NEVER = (0.0, 0.0)
@@ -25,10 +35,16 @@ class Faults(eqx.Module):
         control_delay: number of control periods between a command and its effect; static.
         walls: (H, W) cells that become solid.
         walls_from: time at which they do [s].
+        carried_at: time at which the robot is carried to another place, where it stands [s]; never
+            when absent. Its odometry does not notice. For explorations by one robot. The time may
+            change without a new compilation, but not from absent to present.
+        carried_to: pose (x, y, yaw) at which it is put down [m, m, rad]; when absent a pose in a
+            cell that it can reach, drawn by the key of the run. `carried_at` says when.
 
     Raises:
         ValueError: a time that is negative or not finite, an end before its start, a delay that
-                is not a whole number >= 0, walls that are not an (H, W) array of booleans.
+                is not a whole number >= 0, walls that are not an (H, W) array of booleans, a pose
+                to be carried to without a time.
     """
 
     scan_dropout: Float[Array, "2"]
@@ -36,6 +52,8 @@ class Faults(eqx.Module):
     frozen_odometry: Float[Array, "2"]
     walls: GridMask | None
     walls_from: Scalar
+    carried_at: Scalar | None
+    carried_to: Pose | None
     control_delay: int = eqx.field(static=True)
 
     def __init__(
@@ -47,6 +65,8 @@ class Faults(eqx.Module):
         control_delay: int = 0,
         walls: ArrayLike | None = None,
         walls_from: ArrayLike = 0.0,
+        carried_at: ArrayLike | None = None,
+        carried_to: Vector | None = None,
     ) -> None:
         self.scan_dropout = _interval("scan_dropout", scan_dropout)
         self.lost_odometry = _interval("lost_odometry", lost_odometry)
@@ -55,6 +75,13 @@ class Faults(eqx.Module):
             "control_delay", control_delay, at_least=0, at_most=MOST_DELAY
         )
         self.walls_from = _checks.scalar("walls_from", walls_from, at_least=0.0)
+        self.carried_at = self.carried_to = None
+        if carried_at is not None:
+            self.carried_at = _checks.scalar("carried_at", carried_at, at_least=0.0)
+        if carried_to is not None:
+            self.carried_to = _checks.vector("carried_to", carried_to, 3)
+            if carried_at is None:
+                raise ValueError("carried_to is given without carried_at; accepted: with a time")
         self.walls = None
         if walls is not None:
             mask = np.asarray(walls)
@@ -100,6 +127,18 @@ class Faults(eqx.Module):
         """Check whether a fault of scans or odometry is active."""
         intervals = (self.scan_dropout, self.lost_odometry, self.frozen_odometry)
         return jnp.stack([_during(interval, time) for interval in intervals]).any()
+
+    def is_carried(self, time: Scalar, period: Scalar) -> Flag:
+        """Check whether the robot is carried away at the end of a control period.
+
+        Args:
+            time: beginning of the period, since the start [s].
+            period: control period [s].
+        """
+        if self.carried_at is None:
+            return jnp.array(False)
+        # In one period alone, in that which the time lies in or begins with.
+        return _during(jnp.stack([self.carried_at, self.carried_at + period]), time)
 
     def delay(
         self, pending: Float[Array, "D nu"], control: ControlVector

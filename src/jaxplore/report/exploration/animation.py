@@ -44,6 +44,7 @@ from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.footer import draw_footer
 from jaxplore.report.exploration.objects import class_colours, draw_objects
+from jaxplore.report.exploration.progress import carried_steps
 
 NUM_RAYS = 45
 DASH = 7.0
@@ -141,7 +142,9 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
         draw.polygon(pairs(canvas.pixels(np.concatenate([here[None], seen]))), LIDAR_AREA)
     for end in seen[:: max(1, len(seen) // NUM_RAYS)]:
         line(np.stack([here, end]), LIDAR_RAY, 0.5)
-    line(recording.positions[: frame.step + 1], TRAIL, 1.5)
+    cuts = np.flatnonzero(carried_steps(recording)[: frame.step]) + 1
+    for piece in np.split(recording.positions[: frame.step + 1], cuts):
+        line(piece, TRAIL, 1.5)
     draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
     if recording.objects is not None and len(frame.classes):
         draw_objects(canvas, draw, recording.objects, frame)

@@ -55,6 +55,8 @@ class ExplorationRecord(NamedTuple):
         pose_error: distance of the estimated position from the true one [m]; None for a robot that
             knows its pose, as is the one below.
         uncertainty: standard deviation of the position, as the robot estimates it [m].
+        is_carried: whether a fault carried the robot away at the end of the step; None without such
+            a fault.
     """
 
     state: StateVector
@@ -79,6 +81,7 @@ class ExplorationRecord(NamedTuple):
     is_tipped: Flag | None = None
     pose_error: Scalar | None = None
     uncertainty: Scalar | None = None
+    is_carried: Flag | None = None
 
 
 class AnomalyData(NamedTuple):
@@ -112,7 +115,8 @@ class LocalisationData(NamedTuple):
         reckoned: (N, 3) poses by the odometry alone.
         way: (N,) length of its way by its odometry [m].
         reference: (H, W) map that the same scans give at the true poses.
-        num_loops: number of loops that were closed.
+        num_loops: number of loops that were closed; None on a known map, in whose frame the
+            estimated poses are, so that none is aligned.
     """
 
     true_poses: np.ndarray
@@ -120,7 +124,7 @@ class LocalisationData(NamedTuple):
     reckoned: np.ndarray
     way: np.ndarray
     reference: np.ndarray
-    num_loops: int
+    num_loops: int | None
 
     def moved(self, offset: np.ndarray) -> "LocalisationData":
         """Return the data with an offset (2,) [m] added to positions."""

@@ -80,15 +80,19 @@ class ExplorationMetrics(Metrics):
             detector.
         labels: the reports by time: `label`, `place` [m], `reported_at` [s], `probability`,
             `true_label` and `is_true`; None without a detector.
+        carried_at: time at which a fault carried the robot away [s]; None if it did not.
+        recovered_after: time from then until the error of the position stays below 0.5 m for a
+            second [s]; None if it does not.
         ate: absolute trajectory error of a robot that localised itself, root mean square after the
-            alignment [m]; None if it knew its pose, as are the ones below.
+            alignment, or on a known map without one [m]; None if it knew its pose, as are the ones
+            below.
         odometry_ate: the same error of the odometry alone [m].
         rpe: relative pose error over 5 m, root mean square of the position [m].
         map_iou: intersection over union of the occupied cells of the aligned map and of the map of
             the same scans at the true poses, to within a cell.
         double_walls: share of the occupied cells that draw a wall a second time.
-        aligned_coverage: coverage of the aligned map.
-        num_loops: number of loops that were closed.
+        aligned_coverage: coverage of the aligned map; None on a known map.
+        num_loops: number of loops that were closed; None on a known map.
         reachable_area: area of the reachable cells [m^2].
         longest_stall: longest time without a rise of the coverage in which the positions fit into a
             square of side `2 * STALL_RADIUS` along the world's axes [s].
@@ -143,6 +147,8 @@ class ExplorationMetrics(Metrics):
     mislabelled: int
     class_entropy: float | None
     labels: list[dict[str, Any]] | None
+    carried_at: float | None = None
+    recovered_after: float | None = None
     ate: float | None = None
     odometry_ate: float | None = None
     rpe: float | None = None
@@ -349,16 +355,24 @@ class ExplorationMetrics(Metrics):
         return rows
 
     def _localisation_rows(self) -> list[tuple[str, str]]:
+        rows = []
+        if self.carried_at is not None:
+            later = self.recovered_after
+            end = "not found again" if later is None else f"found again after {later:.2f} s"
+            known = "" if self.ate is None else f", {end}"
+            rows.append(("carried away", f"after {self.carried_at:.2f} s{known}"))
         if self.ate is None:
-            return []
+            return rows
         shares = percent(self.map_iou), percent(self.double_walls)
-        return [
+        rows += [
             ("trajectory error", f"{self.ate:.3f} m, {text(self.rpe, 3)} m over 5 m"),
             ("  of odometry", f"{text(self.odometry_ate, 2)} m"),
             ("walls", f"{shares[0]} in place, {shares[1]} double"),
-            ("aligned coverage", f"{percent(self.aligned_coverage)}"),
-            ("loops", f"{self.num_loops} closed"),
         ]
+        if self.num_loops is not None:
+            rows.append(("aligned coverage", f"{percent(self.aligned_coverage)}"))
+            rows.append(("loops", f"{self.num_loops} closed"))
+        return rows
 
     def _member_rows(self) -> list[tuple[str, str]]:
         if self.members is None:

@@ -34,7 +34,13 @@ from jaxplore.report.exploration.overlays import (
     add_targets,
     closed_cells,
 )
-from jaxplore.report.exploration.progress import LEVELS, at_instants, is_known_map, progress
+from jaxplore.report.exploration.progress import (
+    LEVELS,
+    at_instants,
+    carried_steps,
+    is_known_map,
+    progress,
+)
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
@@ -75,10 +81,12 @@ def map_figure(recording: ExplorationData) -> "Figure":
     kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
     track = (window.place(recording.positions) + window.corner)[kept]
     duration = max(float(time[-1]), recording.control_period)
-    lines = LineCollection(
-        np.stack([track[:-1], track[1:]], axis=1).tolist(), cmap="viridis", linewidths=1.8
-    )
-    lines.set_array(time[kept[:-1]])
+    # Where the robot was carried it left no track.
+    number = np.append(0, np.cumsum(carried_steps(recording)))[kept]
+    is_driven = number[:-1] == number[1:]
+    pieces = np.stack([track[:-1], track[1:]], axis=1)[is_driven]
+    lines = LineCollection(pieces.tolist(), cmap="viridis", linewidths=1.8)
+    lines.set_array(time[kept[:-1]][is_driven])
     lines.set_clim(0.0, duration)
     lines.set_capstyle("round")
     axes.add_collection(lines, autolim=False)

@@ -19,6 +19,7 @@ from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation.closing import LoopCloser, is_nearly_full, thinned
+from jaxplore.localisation.estimator import PoseEstimator, PoseState
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.odometry import Odometry, OdometryBias
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -46,7 +47,7 @@ class Located(NamedTuple):
             see `LoopCloser.spreads`; None if it does not go back to them.
     """
 
-    known: LocaliserState
+    known: PoseState
     bias: OdometryBias
     key: Key
     true_poses: Float[Array, "K 3"]
@@ -71,27 +72,30 @@ class Located(NamedTuple):
 class Localisation(eqx.Module):
     """How a robot of an exploration scenario finds its pose.
 
-    The robot starts at a known pose and then knows only its odometry and its scans. The true pose
-    moves it and is for the judge: coverage is that of the map that its scans give at their true
-    poses.
+    The robot starts at a known pose, or with a `ParticleLocaliser` anywhere on a known map, and
+    then knows only its odometry and its scans. The true pose moves it and is for the judge:
+    coverage is that of the map that its scans give at their true poses.
 
     Args:
         odometry: the true odometry; its errors are what the localiser expects when absent.
-        localiser: estimates the pose.
-        closer: closes loops; none when absent.
+        localiser: estimates the pose: a `Localiser` by default, which matches scans while it maps,
+            or on a known map a `ParticleLocaliser`. While its pose is not known, the robot observes
+            none: it brakes, and maps nothing.
+        closer: closes loops of a `Localiser`; none when absent.
         closing_rate: rate at which loops are looked for [Hz].
         most_uncertainty: standard deviation of the position as seen from an old place nearby,
             beyond which that place is worth a visit, to close a loop [m]; None for never. At twice
-            the bound it is worth as much as the place with the most information.
+            the bound it is worth as much as the place with the most information. For a `Localiser`.
         certainty: how well scans tell the position, for controllers that plan with it; None for
             others.
 
     Raises:
-        ValueError: a part of another class, a rate that is not positive.
+        ValueError: a part of another class, a rate that is not positive; a closer or a greatest
+            uncertainty beside a localiser that makes no map.
     """
 
     odometry: Odometry
-    localiser: Localiser
+    localiser: PoseEstimator
     closer: LoopCloser | None
     most_uncertainty: Scalar | None
     certainty: CertaintyField | None
@@ -100,7 +104,7 @@ class Localisation(eqx.Module):
     def __init__(
         self,
         odometry: Odometry | None = None,
-        localiser: Localiser | None = None,
+        localiser: PoseEstimator | None = None,
         closer: LoopCloser | None = None,
         *,
         closing_rate: float = 1.0,
@@ -108,16 +112,22 @@ class Localisation(eqx.Module):
         certainty: CertaintyField | None = None,
     ) -> None:
         _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
-        _kinds.instance("localiser", localiser, Localiser, may_be_none=True)
+        _kinds.instance("localiser", localiser, PoseEstimator, may_be_none=True)
         _kinds.instance("closer", closer, LoopCloser, may_be_none=True)
         if localiser is None:
             localiser = Localiser(odometry)
         self.localiser = localiser
-        self.odometry = localiser.odometry if odometry is None else odometry
+        self.odometry = localiser.expected_odometry if odometry is None else odometry
         self.closer = closer
         self.closing_rate = _checks.number("closing_rate", closing_rate, above=0.0)
         _kinds.instance("certainty", certainty, CertaintyField, may_be_none=True)
         self.most_uncertainty, self.certainty = None, certainty
+        for name, given in (("closer", closer), ("most_uncertainty", most_uncertainty)):
+            if given is not None and not isinstance(localiser, Localiser):
+                raise ValueError(
+                    f"{name} is given beside a {type(localiser).__name__}, which closes no loops; "
+                    "accepted: None"
+                )
         if most_uncertainty is not None:
             self.most_uncertainty = _checks.scalar("most_uncertainty", most_uncertainty, above=0.0)
 
@@ -132,8 +142,9 @@ class Localisation(eqx.Module):
             sensors: the sensors.
             key: random key of the run; the odometry has no constant errors when absent.
         """
-        known = self.localiser.init(pose, grid.frame, grid.shape, sensors)
         drawn = None if key is None else jax.random.fold_in(key, _ODOMETRY)
+        own = None if drawn is None else jax.random.fold_in(drawn, 2)
+        known = self.localiser.start(pose, grid, sensors, own)
         return Located(
             known,
             self.odometry.draw(drawn),
@@ -232,7 +243,8 @@ class Localisation(eqx.Module):
             )
         if self.most_uncertainty is not None and located.spreads is not None:
             share = jnp.clip(located.spreads / self.most_uncertainty - 1.0, 0.0, 1.0)
-            belief = dataclasses.replace(belief, revisit=places_to_revisit(known, belief, share))
+            worth = places_to_revisit(_mapped(located), belief, share)
+            belief = dataclasses.replace(belief, revisit=worth)
         return belief
 
     def revised(
@@ -252,16 +264,17 @@ class Localisation(eqx.Module):
             prior: map that the robot knew in advance.
             start: pose at the start.
         """
-        if self.closer is None:
+        localiser = self.localiser
+        if self.closer is None or not isinstance(localiser, Localiser):
             return located, belief
-        if is_nearly_full(located.known):
+        if is_nearly_full(_mapped(located)):
             located = _thinned(located)
         known, belief = scan_map.revised(
-            self.closer, self.localiser, located.known, perception, belief, prior, start
+            self.closer, localiser, _mapped(located), perception, belief, prior, start
         )
         located = located._replace(known=known)
         if located.spreads is not None:
-            located = located._replace(spreads=self.closer.spreads(self.localiser, known))
+            located = located._replace(spreads=self.closer.spreads(localiser, known))
         return located, belief
 
     def data(self, located: Located, grid: OccupancyGrid) -> LocalisationData:
@@ -271,7 +284,7 @@ class Localisation(eqx.Module):
             located: state at the end.
             grid: map of the belief, with its frame.
         """
-        scans = located.known.scans
+        known, scans = located.known, located.known.scans
         number = int(scans.number)
         return LocalisationData(
             true_poses=np.asarray(located.true_poses, np.float64)[:number],
@@ -279,7 +292,7 @@ class Localisation(eqx.Module):
             reckoned=np.asarray(located.reckoned_poses, np.float64)[:number],
             way=np.asarray(scans.way, np.float64)[:number],
             reference=grid.cropped(located.reference),
-            num_loops=int(located.known.closures.number),
+            num_loops=int(known.closures.number) if isinstance(known, LocaliserState) else None,
         )
 
 
@@ -322,6 +335,12 @@ def corrected_state(robot: Dynamics, state: StateVector, before: Pose, after: Po
     return observed_state(robot, state, compose(after, between(before, robot.pose(state))))
 
 
+def _mapped(located: Located) -> LocaliserState:
+    """Return what a `Localiser` knows."""
+    assert isinstance(located.known, LocaliserState)
+    return located.known
+
+
 @eqx.filter_jit
 def _thinned(located: Located) -> Located:
     """Return the state with every second stored scan left out."""
@@ -331,7 +350,7 @@ def _thinned(located: Located) -> Located:
         return jnp.zeros_like(rows).at[: len(kept)].set(kept)
 
     return located._replace(
-        known=thinned(located.known),
+        known=thinned(_mapped(located)),
         true_poses=halved(located.true_poses),
         reckoned_poses=halved(located.reckoned_poses),
     )

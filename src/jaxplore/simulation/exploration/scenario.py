@@ -49,6 +49,7 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
+from jaxplore.simulation.exploration.carrying import carried, check_carrying, landing
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.finish import (
     default_give_up_after,
@@ -241,11 +242,14 @@ class ExplorationScenario(Scenario):
             is_localising=localisation is not None,
         )
         known = checks.checked_prior(prior, world, datum)
+        if localisation is not None:
+            localisation.localiser.check_map(prior)
         self.faults = checks.checked_faults(faults, world)
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
         reachable = on_device(drivable_cells(passable, pose, robot, perception, datum))
+        check_carrying(self.faults, world, reachable, datum)
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
         self.targets = checks.checked_targets(targets, world, datum)
@@ -338,14 +342,17 @@ class ExplorationScenario(Scenario):
             is_guarded=self.guard is not None,
             can_tip=self.chassis is not None,
             located=located,
-        )
+        )._replace(landing=landing(self.faults, reachable, belief.grid.frame, key))
         return state, state.belief
 
     def measured(self, state: ExplorationState) -> StateVector:
-        """Return the state (nx,) with the pose that the robot takes to be its own."""
+        """Return the state (nx,) with the pose that the robot takes to be its own; NaN while it
+        does not know it."""
         if state.located is None:
             return state.robot
-        return observed_state(self.robot, state.robot, state.located.known.pose)
+        known = state.located.known
+        pose = jnp.where(known.is_known, known.pose, jnp.nan)
+        return observed_state(self.robot, state.robot, pose)
 
     @property
     def steps_per_revision(self) -> int | None:
@@ -394,6 +401,7 @@ class ExplorationScenario(Scenario):
             self.steps_per_scan,
             self.steps_per_field,
             self.localisation,
+            None if self.localisation is None else self.map_arrays.prior,
         )
 
     def scan_points(self, state: ExplorationState) -> ScanPoints:
@@ -426,6 +434,10 @@ class ExplorationScenario(Scenario):
         if self.localisation is not None and located is not None:
             poses = self.robot.pose(state.robot), self.robot.pose(record.state)
             located = self.localisation.moved(located, *poses, moment.step, self.control_period)
+        if self.faults is not None and state.landing is not None:
+            # After the odometry has measured the step: it does not notice.
+            is_carried = self.faults.is_carried(moment.time, self.control_period)
+            record = carried(record, self.robot, self.start, state.landing, is_carried)
         state = state._replace(robot=record.state, wheels=wheels, located=located)
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record

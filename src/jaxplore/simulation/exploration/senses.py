@@ -4,15 +4,17 @@ import dataclasses
 import itertools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Count, GridMask, Key, Pose, Scalar
+from jaxplore._types import Count, Flag, GridMask, Key, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.control.guard import MISFIT, ScanPoints
-from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS
+from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
@@ -42,6 +44,7 @@ class Senses(NamedTuple):
         steps_per_scan: control periods between two scans.
         steps_per_field: control periods between two updates of the fields.
         localisation: how the robot finds its pose; None if it knows it.
+        prior: map that the robot knew in advance, for one that finds its pose.
     """
 
     robot: Dynamics
@@ -55,6 +58,7 @@ class Senses(NamedTuple):
     steps_per_scan: Count
     steps_per_field: Count
     localisation: Localisation | None = None
+    prior: OccupancyGrid | None = None
 
     def perceive(
         self, state: ExplorationState, truth: TrueWorld, moment: Moment, key: Key
@@ -91,11 +95,14 @@ class Senses(NamedTuple):
                     *(perception, belief, sums, scans, pose, self.reachable, since, moment.time)
                 )
             else:
+                before = located.known
                 located = self.localisation.scanned(located, scans, self.sensors, at)
                 known_at = located.known.pose
-                belief = perception.observe(belief, scans, known_at, since, moment.time)
-                located, sums = self.localisation.judged(
-                    *(located, sums, perception, scans, at, self.reachable, belief.grid)
+                if not self.localisation.localiser.is_mapping:
+                    is_elsewhere = ~before.is_known | is_jump(before.pose, known_at)
+                    belief = self._reset(belief, is_elsewhere & located.known.is_known)
+                belief, sums, located = self._mapped(
+                    belief, sums, located, scans, is_placed & is_fit, at, since, moment.time
                 )
             belief, is_seen = self._looked(belief, is_seen, truth, at, moment.time, key)
             known = truth.tracked(
@@ -146,9 +153,12 @@ class Senses(NamedTuple):
         # The tracker predicts the obstacles at every control period, also between scans.
         if belief.obstacles is not None:
             belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
+        is_taken = is_placed & is_fit
+        if self.localisation is not None:
+            is_taken = is_taken | (not self.localisation.localiser.is_mapping)
         belief, sums, progress, is_seen, mapped, located = when_due(
             is_due,
-            ~moment.is_blind & is_placed & is_fit,
+            ~moment.is_blind & is_taken,
             sense,
             (belief, state.sums, state.progress, state.is_seen, state.ranges, state.located),
         )
@@ -176,6 +186,49 @@ class Senses(NamedTuple):
             points=points,
             located=located,
         )
+
+    def _reset(self, belief: Belief, is_found: Flag) -> Belief:
+        """Return the belief with the prior map if the robot has just found itself elsewhere: what
+        it mapped before may be at a wrong place."""
+        prior = self.prior
+        assert prior is not None
+        reset: Belief = jax.lax.cond(
+            is_found, lambda each: self.perception.with_map(each, prior), lambda same: same, belief
+        )
+        return reset
+
+    def _mapped(
+        self,
+        belief: Belief,
+        sums: MapSums,
+        located: Located,
+        scans: tuple[Scan, ...],
+        is_fit: Flag,
+        pose: Pose,
+        since: Scalar,
+        time: Scalar,
+    ) -> tuple[Belief, MapSums, Located]:
+        """Return the belief with scans at the pose that the robot takes to be its own, and the
+        judge's map with them at the true one."""
+        localisation, perception = self.localisation, self.perception
+        assert localisation is not None
+
+        def add(belief: Belief, sums: MapSums, located: Located) -> tuple[Belief, MapSums, Located]:
+            belief = perception.observe(belief, scans, located.known.pose, since, time)
+            located, sums = localisation.judged(
+                located, sums, perception, scans, pose, self.reachable, belief.grid
+            )
+            return belief, sums, located
+
+        values = belief, sums, located
+        if localisation.localiser.is_mapping:
+            # It got the scan only because it fits.
+            return add(*values)
+        is_mapped = is_fit & located.known.is_known
+        added: tuple[Belief, MapSums, Located] = jax.lax.cond(
+            is_mapped, add, lambda *same: same, *values
+        )
+        return added
 
     def _looked(
         self,

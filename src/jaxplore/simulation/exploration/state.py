@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Count, GridMask, StateVector
+from jaxplore._types import Count, GridMask, Pose, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
@@ -37,6 +37,7 @@ class ExplorationState(NamedTuple):
         points: end points of the last scan, for the guard; None without one.
         wheels: the vehicle on its wheels; None for a robot that cannot tip over.
         located: localisation of the robot; None if it knows its pose.
+        landing: pose to which a fault carries the robot; None without such a fault.
     """
 
     robot: StateVector
@@ -51,6 +52,7 @@ class ExplorationState(NamedTuple):
     points: ScanPoints | None = None
     wheels: Wheels | None = None
     located: Located | None = None
+    landing: Pose | None = None
 
 
 def max_ranges(sensors: Sequence[Sensor]) -> np.ndarray:

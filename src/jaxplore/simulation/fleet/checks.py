@@ -64,6 +64,7 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
         "guard": one.guard,
         "variation": one.variation,
         "localisation": one.localisation,
+        "faults.carried_at": None if one.faults is None else one.faults.carried_at,
         "targets": one.targets if one.num_targets else None,
     }
     for name, part in parts.items():

@@ -163,6 +163,8 @@ class PathScenario(Scenario):
         self.turn_growth = _checks.scalar("turn_growth", turn_growth, at_least=0.0)
         if faults is not None and faults.walls is not None:
             raise ValueError("faults has walls beside a path; accepted: faults without walls")
+        if faults is not None and faults.carried_at is not None:
+            raise ValueError("faults has carried_at beside a path; accepted: faults without it")
         self.faults = faults
 
     def __repr__(self) -> str:

@@ -118,6 +118,8 @@ class VolumeScenario(Scenario):
         _kinds.instance("robot", robot, Quadrotor)
         _kinds.instance("perception", perception, VolumePerception, may_be_none=True)
         _kinds.instance("faults", faults, Faults, may_be_none=True)
+        if faults is not None and faults.carried_at is not None:
+            raise ValueError("faults has carried_at in a volume; accepted: faults without it")
         several = isinstance(sensors, Sequence)
         given = tuple(sensors) if isinstance(sensors, Sequence) else (sensors,)
         for each in given:
