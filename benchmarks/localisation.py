@@ -14,6 +14,7 @@ from benchmarks.setting import MAPS, OFFICE
 from benchmarks.tables import table
 from benchmarks.timing import TimedLoop, timed
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.localisation.localiser import Localiser
 from jaxplore.localisation.particles import ParticleFilter
 from jaxplore.localisation.surface import EndPoints
 from jaxplore.simulation.experiment import Experiment
@@ -71,6 +72,7 @@ def measure_times(runs: int = 300) -> list[dict[str, Any]]:
     loop.run(WARM_UP_STEPS)
     known = loop.state.task.located.known
     localiser, sensors = scenario.localisation.localiser, scenario.sensors
+    assert isinstance(localiser, Localiser)
     pose = scenario.robot.pose(loop.state.task.robot)
     scan = sensors[0].scan(scenario.world, pose, key=key)
     ends = EndPoints.of(sensors[0], scan)

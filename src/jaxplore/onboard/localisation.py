@@ -12,8 +12,9 @@ from jaxplore._xla import on_device
 from jaxplore.belief import scan_map
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
-from jaxplore.localisation.closing import LoopCloser, is_nearly_full, thinned
+from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.localiser import Localiser, LocaliserState
+from jaxplore.localisation.thinning import is_nearly_full, thinned
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.odometry import KEPT_SECONDS, Placed, PoseHistory, moved, wrapped
 from jaxplore.sensing.beams import Beams, Scan

@@ -18,10 +18,11 @@ from jaxplore.belief.certainty import CertaintyField
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose
-from jaxplore.localisation.closing import LoopCloser, is_nearly_full, thinned
+from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.estimator import PoseEstimator, PoseState
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.odometry import Odometry, OdometryBias
+from jaxplore.localisation.thinning import is_nearly_full, thinned
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import LocalisationData
 from jaxplore.sensing.base import Sensor, update_grid

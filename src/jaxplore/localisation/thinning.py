@@ -1,0 +1,67 @@
+"""Leave out stored scans when there is no more room for new ones."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxplore._types import Pose
+from jaxplore.geometry.motion import between, compose, moved_covariance
+from jaxplore.localisation.localiser import LocaliserState
+from jaxplore.localisation.stored_scans import StoredScans
+
+SPARE = 64
+"""Number of scans for which there must be room; otherwise every second one is left out."""
+
+
+def is_nearly_full(state: LocaliserState) -> bool:
+    """Check whether stored scans should be thinned out before more are stored."""
+    return int(state.scans.number) > state.scans.capacity - SPARE
+
+
+@eqx.filter_jit
+def thinned(state: LocaliserState) -> LocaliserState:
+    """Return the state with every second stored scan left out.
+
+    Motions between neighbours are composed, with their covariances. A closed loop of a scan that is
+    left out becomes one of the scan before it.
+
+    Args:
+        state: state of a localiser.
+    """
+    scans, closures = state.scans, state.closures
+    first, second = scans.motions[1::2], jnp.roll(scans.motions, -1, axis=0)[1::2]
+    added = jnp.roll(scans.covariances, -1, axis=0)[1::2]
+    # Scan 2 k + 2 follows scan 2 k by the motions 2 k + 1 and 2 k + 2.
+    motions = jax.vmap(compose)(first, second)
+    covariances = jax.vmap(moved_covariance)(first, second, scans.covariances[1::2], added)
+    capacity = scans.capacity
+
+    def halved(rows: Array) -> Array:
+        return jnp.zeros_like(rows).at[: (capacity + 1) // 2].set(rows[::2])
+
+    def following(rows: Array, former: Array) -> Array:
+        after = rows[: (capacity + 1) // 2 - 1]
+        return jnp.zeros_like(former).at[1 : 1 + len(after)].set(after)
+
+    def anchored(pair: Array, motion: Pose) -> Pose:
+        older, newer = scans.poses[pair], scans.poses[2 * (pair // 2)]
+        before = between(newer[0], older[0])
+        return compose(compose(before, motion), between(older[1], newer[1]))
+
+    return state._replace(
+        scans=StoredScans(
+            halved(scans.poses),
+            following(motions, scans.motions),
+            following(covariances, scans.covariances),
+            halved(scans.way),
+            halved(scans.ranges),
+            halved(scans.is_return),
+            (scans.number + 1) // 2,
+        ),
+        closures=closures._replace(
+            pairs=closures.pairs // 2,
+            motions=jax.vmap(anchored)(closures.pairs, closures.motions),
+            examined=(closures.examined + 1) // 2,
+        ),
+    )
