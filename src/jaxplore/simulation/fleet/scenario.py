@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplore import _checks, _kinds
+from jaxplore._alike import Alike
 from jaxplore._describe import describe_fields
 from jaxplore._trees import HostOnly
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Rows, Scalar, StateVector
@@ -31,9 +31,10 @@ from jaxplore.simulation.fleet.checks import checked_members, identities
 from jaxplore.simulation.fleet.contact import parted
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
+from jaxplore.simulation.fleet.senses import TeamSenses
 from jaxplore.simulation.fleet.starts import checked_starts
 from jaxplore.simulation.fleet.state import FleetState
-from jaxplore.simulation.fleet.talk import Talk, without
+from jaxplore.simulation.fleet.talk import Talk
 from jaxplore.simulation.scenario import Inspect, LoopState, Moment, Scenario
 
 COORDINATIONS = ("claims", "assignment", "none")
@@ -84,7 +85,7 @@ class Fleet(Scenario):
     frame_type = FleetFrame
     metrics_type = FleetMetrics
 
-    members: tuple[ExplorationScenario, ...]
+    explorations: Alike[ExplorationScenario]
     robot: Formation
     start: StateVector
     control_period: Scalar
@@ -109,7 +110,7 @@ class Fleet(Scenario):
         plan_length: int = 40,
     ) -> None:
         _kinds.instance("radio", radio, Radio, may_be_none=True)
-        self.members = checked_members(robots, starts)
+        self.explorations = Alike(checked_members(robots, starts))
         first = self.members[0]
         poses = checked_starts(self.members, starts)
         self.robot = Formation([each.robot for each in self.members])
@@ -139,9 +140,14 @@ class Fleet(Scenario):
         return describe_fields(self, "members", "coordination", "period")
 
     @property
+    def members(self) -> tuple[ExplorationScenario, ...]:
+        """Exploration of each robot."""
+        return self.explorations.all
+
+    @property
     def num_robots(self) -> int:
         """Number of robots, N."""
-        return len(self.members)
+        return len(self.explorations.kind_of)
 
     @property
     def steps_per_measurement(self) -> int:
@@ -198,23 +204,15 @@ class Fleet(Scenario):
         self, state: FleetState, moment: Moment, key: Key
     ) -> tuple[FleetState, FleetBelief]:
         """Let each robot scan and derive its fields, and let the robots tell what they know."""
-        state, members = self._talk.exchange_when_due(state, moment), []
-        observed = self.robot.split_state(moment.observed)
-        discs = self._talk.discs(state)
-        keys = robot_keys(key, self.identity)
-        for index, (one, each) in enumerate(zip(self.members, state.members, strict=True)):
-            own = moment._replace(observed=observed[index])
-            truth = one.true_world(each, own)
-            if discs is not None:
-                others = jax.tree.map(lambda rows, i=index: without(rows, i), discs)
-                truth = eqx.tree_at(
-                    lambda at: at.moving,
-                    truth,
-                    others.beside(truth.moving, moment.time),
-                    is_leaf=lambda leaf: leaf is None,
-                )
-            members.append(one.senses.perceive(each, truth, own, keys[index]))
-        known = state._replace(members=tuple(members))
+        state = self._talk.exchange_when_due(state, moment)
+        members = TeamSenses(self.explorations, self.identity).perceive(
+            state.members,
+            self._talk.discs(state),
+            self.robot.split_state(moment.observed),
+            moment,
+            robot_keys(key, self.identity),
+        )
+        known = state._replace(members=members)
         if known.team is None:
             known = known._replace(coverage=members[0].progress.coverage)
         else:
@@ -302,8 +300,8 @@ class Fleet(Scenario):
 
     def for_batches(self) -> "Fleet":
         """Return the scenario with perceptions that are efficient under `jax.vmap`."""
-        members = tuple(each.for_batches() for each in self.members)
-        same: Fleet = eqx.tree_at(lambda at: at.members, self, members)
+        batched = self.explorations.map(lambda each: each.for_batches())
+        same: Fleet = eqx.tree_at(lambda at: at.explorations, self, batched)
         return same
 
     def varied(self, variation: Any) -> "Fleet":
@@ -371,7 +369,8 @@ class Fleet(Scenario):
         """How the robots tell one another what they know."""
         return Talk(
             self.robot,
-            self.members,
+            self.explorations,
+            self.identity,
             self.radii,
             self.radio,
             self.steps_per_exchange,

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxplore._alike import Alike
 from jaxplore._types import Count, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.plans import Plans
@@ -18,6 +19,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.contact import planned_positions
 from jaxplore.simulation.fleet.radio import Exchanged, Heard, Radio, exchange
+from jaxplore.simulation.fleet.rows import others
 from jaxplore.simulation.fleet.state import FleetState, Team
 from jaxplore.simulation.scenario import Moment
 
@@ -30,7 +32,8 @@ class Talk(NamedTuple):
 
     Args:
         robot: model of all robots.
-        members: exploration of each robot.
+        explorations: exploration of each robot.
+        identity: (N,) number of each robot, by which the others are ordered.
         radii: (N,) radii of the circles that hold the robots [m].
         radio: who hears whom.
         steps_per_exchange: control periods between two exchanges of maps.
@@ -40,7 +43,8 @@ class Talk(NamedTuple):
     """
 
     robot: Formation
-    members: tuple[ExplorationScenario, ...]
+    explorations: Alike[ExplorationScenario]
+    identity: Int[Array, " N"]
     radii: Float[Array, " N"]
     radio: Radio
     steps_per_exchange: Count
@@ -48,11 +52,16 @@ class Talk(NamedTuple):
     plan_length: int
     coordination: str
 
+    @property
+    def members(self) -> tuple[ExplorationScenario, ...]:
+        """Exploration of each robot."""
+        return self.explorations.all
+
     def with_others(self, state: ExplorationState, index: int) -> ExplorationState:
         """Return the state of a robot whose belief has the other robots and a map of claims."""
-        belief, others = state.belief, Obstacles.unseen(without(self.radii, index))
+        belief, around = state.belief, Obstacles.unseen(others(self.radii, self.identity, index))
         known = belief.obstacles
-        every = others if known is None else known + others
+        every = around if known is None else known + around
         number = every.outlines.number
         plans = Plans.unknown(number, self.plan_length + 1, self.plan_step)
         every = dataclasses.replace(every, plans=plans)
@@ -98,13 +107,16 @@ class Talk(NamedTuple):
     def links(self, state: FleetState, moment: Moment) -> Bool[Array, "N N"]:
         """Return which robots hear each other."""
         positions = self.robot.positions(state.robot)
-        sees = []
-        for one, each in zip(self.members, state.members, strict=True):
-            truth, pose = one.true_world(each, moment), one.robot.pose(each.robot)
+
+        def seen(one: ExplorationScenario, robot: StateVector) -> Bool[Array, " N"]:
+            # What moves hides no robot from the radio.
+            truth, pose = one.world_at(None, moment), one.robot.pose(robot)
             views = [
                 sensor.sees(truth.grid, pose, positions, truth.ground) for sensor in one.sensors
             ]
-            sees.append(jnp.stack(views).any(axis=0))
+            return jnp.stack(views).any(axis=0)
+
+        sees = self.explorations.each(seen, [each.robot for each in state.members])
         return self.radio.links(positions, jnp.stack(sees))
 
     def exchange_when_due(self, state: FleetState, moment: Moment) -> FleetState:
@@ -125,7 +137,8 @@ class Talk(NamedTuple):
             return tuple(
                 exchange(
                     self.radio,
-                    self.members,
+                    self.explorations,
+                    self.identity,
                     members,
                     heard,
                     merged,
@@ -156,13 +169,13 @@ class Talk(NamedTuple):
             near = self._may_meet(places, team.plans)
             after = []
             for index, obstacles in enumerate(known):
-                is_heard = without((links & near)[index], index)
+                is_heard = others((links & near)[index], self.identity, index)
                 rest = obstacles.outlines.number - is_heard.shape[0]
 
                 def rows(values: Array, i: int = index, first: int = rest) -> Array:
                     """Return the rows of the others, after those of the world's obstacles."""
-                    others = without(values, i)
-                    return jnp.concatenate([jnp.zeros((first, *others.shape[1:])), others])
+                    told = others(values, self.identity, i)
+                    return jnp.concatenate([jnp.zeros((first, *told.shape[1:])), told])
 
                 heard = jnp.concatenate([jnp.zeros(rest, bool), is_heard])
                 zero = jnp.zeros(())
@@ -221,8 +234,3 @@ class Talk(NamedTuple):
 
         plans = jax.lax.cond(is_due, plan, lambda same: same, team.plans)
         return team._replace(plans=plans, velocities=change / self.members[0].control_period)
-
-
-def without(rows: Array, index: int) -> Array:
-    """Return the rows of an array without that of one robot."""
-    return jnp.concatenate([rows[:index], rows[index + 1 :]])
