@@ -1,5 +1,6 @@
 """Do the same for several things, of which some are equal, by one compiled body for equal ones."""
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -36,6 +37,10 @@ class Alike[T](eqx.Module):
     def all(self) -> tuple[T, ...]:
         """The N things."""
         return tuple(self.kinds[kind] for kind in self.kind_of)
+
+    def at(self, places: Sequence[int]) -> "Alike[T]":
+        """Return the things at some places."""
+        return Alike([self.all[place] for place in places])
 
     def map(self, function: Callable[[T], T]) -> "Alike[T]":
         """Return as many things, each of which a function makes of one here."""
@@ -76,23 +81,31 @@ def _results(
     def one(row: Any) -> Any:
         return function(thing, *row)
 
-    def apart(given: Sequence[Any]) -> list[Any]:
-        return [one(row) for row in given]
-
-    def in_turn(given: Sequence[Any]) -> list[Any]:
-        return _rows(jax.lax.map(one, _stacked(given)), len(given))
-
-    def at_once(given: Sequence[Any]) -> list[Any]:
-        return _rows(jax.vmap(one)(_stacked(given)), len(given))
-
     if len(rows) == 1:
         # Nothing is stacked for one: it is computed as without others, to the bit.
-        return apart(rows)
+        return apart(one, rows)
     # The one place that decides how many equal things are computed at a time.
     found: list[Any] = jax.lax.platform_dependent(
-        list(rows), cpu=apart if is_large else in_turn, default=at_once
+        list(rows),
+        cpu=functools.partial(apart if is_large else in_turn, one),
+        default=functools.partial(at_once, one),
     )
     return found
+
+
+def apart(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
+    """Return a function's results for some rows, by a body for each."""
+    return [one(row) for row in rows]
+
+
+def in_turn(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
+    """Return a function's results for some rows, by a loop."""
+    return _rows(jax.lax.map(one, _stacked(rows)), len(rows))
+
+
+def at_once(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
+    """Return a function's results for some rows, all computed together."""
+    return _rows(jax.vmap(one)(_stacked(rows)), len(rows))
 
 
 def _stacked(rows: Sequence[Any]) -> Any:

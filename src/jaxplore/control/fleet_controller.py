@@ -1,8 +1,10 @@
 """One controller for all robots of a fleet, each of which plans for itself."""
 
+import copy
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
@@ -11,6 +13,7 @@ from jaxplore import _kinds
 from jaxplore._alike import Alike
 from jaxplore._types import ArrayLike, ControlVector, Key, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.fleet_share import Share, checked_share
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.dynamics.formation import Formation
 
@@ -69,6 +72,7 @@ class FleetController(Controller):
 
     own: Alike[Controller]
     formation: Formation
+    share: Share
 
     def __init__(self, controllers: Sequence[Controller], formation: Formation) -> None:
         _kinds.instances("controllers", controllers, Controller)
@@ -79,6 +83,22 @@ class FleetController(Controller):
                 f"{len(formation.robots)}, one for each robot"
             )
         self.own, self.formation = Alike(controllers), formation
+        self.share = Share.whole(len(controllers))
+
+    def with_share(self, share: Share) -> "FleetController":
+        """Return the controller in a process that computes some of the robots.
+
+        Args:
+            share: these robots, and how to hear of the others.
+
+        Raises:
+            ValueError: controllers that are not all equal, or one alone.
+        """
+        checked_share(share, self.own.kinds, "controllers")
+        same = copy.copy(self)
+        # Modules are frozen, and this part has no leaf that `eqx.tree_at` could set.
+        object.__setattr__(same, "share", share)
+        return same
 
     @property
     def controllers(self) -> tuple[Controller, ...]:
@@ -87,12 +107,13 @@ class FleetController(Controller):
 
     def init(self) -> tuple[Any, ...]:
         """Return the initial state of each controller."""
-        return tuple(each.init() for each in self.controllers)
+        return tuple(each.init() for each in self.share.own(self.controllers))
 
     def at_period(self, control_period: ArrayLike) -> "FleetController":
         """Return a copy of this controller that is called every `control_period` seconds."""
         own = self.own.map(lambda each: each.at_period(control_period))
-        return FleetController(own.all, self.formation)
+        same: FleetController = eqx.tree_at(lambda at: at.own, self, own)
+        return same
 
     def step(
         self,
@@ -115,7 +136,11 @@ class FleetController(Controller):
 
         # Beliefs are large: copied in a loop, they would take longer than the control.
         rows = self._rows(state, observation, belief, key)
-        controls, states, infos = zip(*self.own.each(control, *rows, is_large=True), strict=True)
+        here = self.own.at(self.share.mine)
+        found = here.each(control, *rows, is_large=True)
+        states = [memory for _, memory, _ in found]
+        told = self.share.gathered([(command, info) for command, _, info in found])
+        controls, infos = zip(*told, strict=True)
         return jnp.concatenate(controls), tuple(states), _joined(infos)
 
     def inspect(
@@ -140,7 +165,8 @@ class FleetController(Controller):
             )
 
         # A plan is inspected for a frame, which is rare: one body compiles sooner.
-        plans = self.own.each(plan, *self._rows(state, observation, belief, key))
+        here = self.own.at(self.share.mine)
+        plans = self.share.gathered(here.each(plan, *self._rows(state, observation, belief, key)))
         return SampledPlan(
             _side_by_side([each.nominal for each in plans]),
             _side_by_side([each.best for each in plans]),
@@ -151,9 +177,10 @@ class FleetController(Controller):
     def _rows(
         self, state: tuple[Any, ...], observation: StateVector, belief: FleetBelief, key: Key
     ) -> tuple[Sequence[Any], ...]:
-        """Return the states, observations, beliefs and keys of the robots."""
-        observed = self.formation.split_state(observation)
-        return state, observed, belief.robots, robot_keys(key, belief.identity)
+        """Return the states, observations, beliefs and keys of the robots of this process."""
+        observed = self.share.own(self.formation.split_state(observation))
+        keys = self.share.own(robot_keys(key, belief.identity))
+        return state, observed, belief.robots, keys
 
 
 def _joined(infos: Sequence[Info]) -> Info:

@@ -15,6 +15,7 @@ from jaxplore._types import ArrayLike, Count, Flag, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.claims import claim_cost, trust_in
 from jaxplore.belief.merging import merged_map, own_change
+from jaxplore.control.fleet_share import Share
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -184,6 +185,7 @@ class Exchanged(NamedTuple):
 def exchange(
     radio: Radio,
     explorations: Alike[ExplorationScenario],
+    share: Share,
     identity: Int[Array, " N"],
     members: Sequence[ExplorationState],
     heard: Heard,
@@ -202,27 +204,27 @@ def exchange(
 
     Args:
         radio: who hears whom.
-        explorations: exploration of each robot.
+        explorations: exploration of each of the M robots that this process computes.
+        share: these robots.
         identity: (N,) number of each robot, by which sums over robots are ordered.
-        members: state of each robot.
+        members: state of each of the M robots.
         heard: what the robots have heard before.
-        merged: (H, W) map of each robot after the last exchange.
+        merged: (H, W) map of each of the M robots after the last exchange.
         links: (N, N) which robots hear each other.
-        poses: observed pose of each robot [m, m, rad].
+        poses: observed pose of each of the M robots [m, m, rad].
         step: number of steps before.
         time: time since the start [s].
         with_lengths: whether the lengths of paths are told; static.
         with_claims: whether claims follow from them; static.
     """
-    number, scenarios = len(members), explorations.all
+    number, scenarios = share.number, explorations.all
     every = jnp.arange(number)
     grids = [each.belief.grid.probability for each in members]
-    own = jnp.stack(
-        [
-            own_change(one.perception.sensor_model, old, now)
-            for one, old, now in zip(scenarios, merged, grids, strict=True)
-        ]
-    )
+    changes = [
+        own_change(one.perception.sensor_model, old, now)
+        for one, old, now in zip(scenarios, merged, grids, strict=True)
+    ]
+    own = jnp.stack(share.gathered(changes))
     log_odds = heard.log_odds.at[every, every].add(own)
     version = heard.version.at[every, every].set(step)
     source = newest(version, links)
@@ -257,7 +259,7 @@ def exchange(
 
     # What a merge does not read stays where it is.
     small = [Belief(grid=each.belief.grid, clearance=each.belief.clearance) for each in members]
-    found = explorations.each(merge, small, poses, list(every))
+    found = explorations.each(merge, small, poses, [every[i] for i in share.mine])
     after = []
     for one, state, (probability, clearance, sums, _) in zip(
         scenarios, members, found, strict=True
@@ -272,14 +274,14 @@ def exchange(
     maps = tuple(probability for probability, *_ in found)
     told = heard.lengths
     if with_lengths:
-        lengths = [each[-1] for each in found]
+        lengths = share.gathered([each[-1] for each in found])
         told, *_ = taken(told.at[every, every].set(jnp.stack(lengths)), source)
         is_told = (source != every[:, None])[:, :, None, None] & jnp.isfinite(told)
         sent = sent + NODE_BYTES * jnp.sum(is_told, dtype=jnp.float32)
     if with_claims:
         age = (step - version).astype(jnp.float32) * scenarios[0].control_period
         age = jnp.where((version == NEVER) | jnp.eye(number, dtype=bool), jnp.inf, age)
-        for i, one in enumerate(scenarios):
+        for at, (i, one) in enumerate(zip(share.mine, scenarios, strict=True)):
             cost = claim_cost(
                 lengths[i],
                 by_identity(told[i], identity),
@@ -287,6 +289,6 @@ def exchange(
                 sharpness=radio.claim_sharpness,
                 decay_length=one.perception.decay_length,
             )
-            belief = dataclasses.replace(after[i].belief, claims=cost)
-            after[i] = after[i]._replace(belief=belief)
+            belief = dataclasses.replace(after[at].belief, claims=cost)
+            after[at] = after[at]._replace(belief=belief)
     return Exchanged(tuple(after), Heard(received, told, version), maps, sent)

@@ -1,5 +1,6 @@
 """The exploration of an unknown world by a fleet of robots."""
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +17,7 @@ from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Rows, Sc
 from jaxplore._xla import on_device
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.fleet_controller import FleetBelief, robot_keys
+from jaxplore.control.fleet_share import Share, checked_share
 from jaxplore.dynamics.formation import Formation, extent
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord, moved_records
 from jaxplore.report.fleet.metrics import FleetMetrics
@@ -94,6 +96,7 @@ class Fleet(Scenario):
     steps_per_exchange: Count
     identity: Int[Array, " N"]
     radii: Float[Array, " N"]
+    share: Share
     plan_step: Scalar
     plan_length: int = eqx.field(static=True)
     coordination: str = eqx.field(static=True)
@@ -133,6 +136,7 @@ class Fleet(Scenario):
         self.identity = on_device(identities(poses))
         radii = [extent(each.robot.footprint) for each in self.members]
         self.radii = on_device(np.asarray(radii, np.float32))
+        self.share = Share.whole(self.num_robots)
         self.plan_step = _checks.scalar("plan_step", plan_step, above=0.0)
         self.plan_length = _checks.positive_int("plan_length", plan_length)
 
@@ -148,6 +152,21 @@ class Fleet(Scenario):
     def num_robots(self) -> int:
         """Number of robots, N."""
         return len(self.explorations.kind_of)
+
+    def with_share(self, share: Share) -> "Fleet":
+        """Return the fleet in a process that computes some of its robots.
+
+        Args:
+            share: these robots, and how to hear of the others.
+
+        Raises:
+            ValueError: robots that are not all equal, or one alone.
+        """
+        checked_share(share, self.explorations.kinds, "robots")
+        same = copy.copy(self)
+        # Modules are frozen, and this part has no leaf that `eqx.tree_at` could set.
+        object.__setattr__(same, "share", share)
+        return same
 
     @property
     def steps_per_measurement(self) -> int:
@@ -175,16 +194,16 @@ class Fleet(Scenario):
         """Return the state with the clusters of frontier cells assigned anew, on the host."""
         task: FleetState = state.task
         assert task.team is not None
-        members = with_assignments(self.members, task.members, task.team.heard)
+        members = with_assignments(
+            self.share.own(self.members), task.members, self.share.mine, task.team.heard
+        )
         return state._replace(task=task._replace(members=members))
 
     def init(self, key: Key | None) -> tuple[FleetState, FleetBelief]:
         """Return the initial state, and the beliefs with the prior map."""
-        members = []
-        for index, (one, start) in enumerate(
-            zip(self.members, self.robot.split_state(self.start), strict=True)
-        ):
-            here = eqx.tree_at(lambda each: each.start, one, start)
+        members, starts = [], self.robot.split_state(self.start)
+        for index in self.share.mine:
+            here = eqx.tree_at(lambda each: each.start, self.members[index], starts[index])
             alone = here.init(key)[0]
             members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
         coverage, team = members[0].progress.coverage, None
@@ -205,12 +224,14 @@ class Fleet(Scenario):
     ) -> tuple[FleetState, FleetBelief]:
         """Let each robot scan and derive its fields, and let the robots tell what they know."""
         state = self._talk.exchange_when_due(state, moment)
-        members = TeamSenses(self.explorations, self.identity).perceive(
+        own = self.share.own
+        here = TeamSenses(self.explorations.at(self.share.mine), self.share.mine, self.identity)
+        members = here.perceive(
             state.members,
             self._talk.discs(state),
-            self.robot.split_state(moment.observed),
+            own(self.robot.split_state(moment.observed)),
             moment,
-            robot_keys(key, self.identity),
+            own(robot_keys(key, self.identity)),
         )
         known = state._replace(members=members)
         if known.team is None:
@@ -232,7 +253,11 @@ class Fleet(Scenario):
         before = self.robot.split_state(state.robot)
         records = []
         controls = self.robot.split_control(control)
-        for one, each, own in zip(self.members, state.members, controls, strict=True):
+        here = dict(zip(self.share.mine, state.members, strict=True))
+        for index, (one, robot, own) in enumerate(zip(self.members, before, controls, strict=True)):
+            # Every process moves all robots. Of one that another process computes, nothing else is
+            # read than what is the same for equal robots.
+            each = here.get(index, state.members[0])._replace(robot=robot)
             truth = one.true_world(each, moment._replace(time=later))
             each_record, _ = move(
                 one.robot,
@@ -251,14 +276,16 @@ class Fleet(Scenario):
         clearance = jnp.stack([each.clearance for each in records])
         contact, team = jnp.zeros(self.num_robots, bool), state.team
         sent, links = jnp.zeros(()), jnp.zeros((), jnp.int32)
+        coverages = state.members[0].progress.coverage[None]
         if team is not None:
             apart = parted(self.robot, self.radii, before, moved)
             moved, contact = list(apart.states), apart.is_contact
             clearance = jnp.minimum(clearance, apart.gap)
-            sent, links = team.sent, team.links
+            sent, links, coverages = team.sent, team.links, team.coverages
             team = self._talk.planned(team, state.robot, moved, moment.step, info)
         members = tuple(
-            each._replace(robot=robot) for each, robot in zip(state.members, moved, strict=True)
+            each._replace(robot=robot)
+            for each, robot in zip(state.members, self.share.own(moved), strict=True)
         )
         joint = jnp.concatenate(moved)
         state = state._replace(robot=joint, members=members, team=team)
@@ -267,7 +294,7 @@ class Fleet(Scenario):
             state=joint,
             control=control,
             coverage=state.coverage,
-            coverages=jnp.stack([each.progress.coverage for each in members]),
+            coverages=coverages,
             clearance=clearance,
             is_collision=jnp.stack([each.is_collision for each in records]),
             is_contact=contact,
@@ -331,7 +358,7 @@ class Fleet(Scenario):
         """Return what the robots know together, their poses, plans and links."""
         plan = None if inspect is None else inspect(moment.observed, self._belief(state))
         links = None if state.team is None else self._talk.links(state, moment)
-        return fleet_frame(self.robot, state, plan, links)
+        return fleet_frame(self.robot, state, self.share, plan, links)
 
     def make_frame(self, step: int, arrays: Any) -> FleetFrame:
         """Make a frame on the host, with the cells that are on the map."""
@@ -350,6 +377,7 @@ class Fleet(Scenario):
         """Make the recording of a run."""
         local = make_recording(
             self.members,
+            self.share,
             self.robot,
             np.asarray(self.start),
             before,
@@ -370,6 +398,7 @@ class Fleet(Scenario):
         return Talk(
             self.robot,
             self.explorations,
+            self.share,
             self.identity,
             self.radii,
             self.radio,

@@ -29,11 +29,13 @@ class TeamSenses(NamedTuple):
     part of its own for them.
 
     Args:
-        explorations: exploration of each robot.
+        explorations: exploration of each of the M robots that this process computes.
+        places: places of these robots in the fleet.
         identity: (N,) number of each robot, by which the others are ordered.
     """
 
     explorations: Alike[ExplorationScenario]
+    places: tuple[int, ...]
     identity: Int[Array, " N"]
 
     def perceive(
@@ -58,9 +60,9 @@ class TeamSenses(NamedTuple):
             one, own = scenarios[0], moment._replace(observed=observed[0])
             truth = one.true_world(members[0], own)
             return (one.senses.perceive(members[0], truth, own, keys[0]),)
-        numbers = range(len(scenarios))
         around = [
-            jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs) for i in numbers
+            jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs)
+            for i in self.places
         ]
         scanned = []
         for one, each, beside, seen, key in zip(

@@ -1,6 +1,7 @@
 """How the robots of a fleet tell one another what they know, at the rates of scans and of maps."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from jaxplore._types import Count, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.plans import Plans
 from jaxplore.control.base import Info
+from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -33,6 +35,7 @@ class Talk(NamedTuple):
     Args:
         robot: model of all robots.
         explorations: exploration of each robot.
+        share: robots that this process computes; `members` of a state are theirs.
         identity: (N,) number of each robot, by which the others are ordered.
         radii: (N,) radii of the circles that hold the robots [m].
         radio: who hears whom.
@@ -44,6 +47,7 @@ class Talk(NamedTuple):
 
     robot: Formation
     explorations: Alike[ExplorationScenario]
+    share: Share
     identity: Int[Array, " N"]
     radii: Float[Array, " N"]
     radio: Radio
@@ -73,12 +77,13 @@ class Talk(NamedTuple):
 
     def begin(self, members: Sequence[ExplorationState]) -> Team:
         """Return what the robots have told one another at the start: nothing."""
-        number = len(members)
+        number = self.share.number
         belief = members[0].belief
         rows, columns = belief.information.total.shape
         nodes = (rows, columns) if self.coordination != "none" else (1, 1)
         # The cells below a robot, which it knows to be free from the start, are news to the others.
-        priors = tuple(each.map_arrays.prior.probability for each in self.members)
+        own = self.share.own(self.members)
+        priors = tuple(each.map_arrays.prior.probability for each in own)
         return Team(
             Heard.nothing(number, belief.grid.shape, nodes),
             priors,
@@ -86,16 +91,23 @@ class Talk(NamedTuple):
             jnp.zeros((number, 2)),
             jnp.zeros(()),
             jnp.zeros((), jnp.int32),
+            self._known(members)[1],
         )
+
+    def _known(self, members: Sequence[ExplorationState]) -> tuple[Scalar, Float[Array, " N"]]:
+        """Return the coverage of all robots together and that of each."""
+        rows = self.share.gathered(
+            [(each.belief.grid.is_free, each.progress.coverage) for each in members]
+        )
+        known = functools.reduce(jnp.logical_or, [is_free for is_free, _ in rows])
+        reachable = self.members[0].map_arrays.reachable
+        found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
+        together = found / self.members[0].num_reachable
+        return together, jnp.stack([each for _, each in rows])
 
     def coverage(self, members: Sequence[ExplorationState]) -> Scalar:
         """Return the share of the reachable cells that some robot knows to be free."""
-        known = members[0].belief.grid.is_free
-        for each in members[1:]:
-            known = known | each.belief.grid.is_free
-        reachable = self.members[0].map_arrays.reachable
-        found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
-        return found / self.members[0].num_reachable
+        return self._known(members)[0]
 
     def discs(self, state: FleetState) -> MovingDiscs | None:
         """Return all robots as discs that move; None for a robot alone."""
@@ -116,7 +128,7 @@ class Talk(NamedTuple):
             ]
             return jnp.stack(views).any(axis=0)
 
-        sees = self.explorations.each(seen, [each.robot for each in state.members])
+        sees = self.explorations.each(seen, self.robot.split_state(state.robot))
         return self.radio.links(positions, jnp.stack(sees))
 
     def exchange_when_due(self, state: FleetState, moment: Moment) -> FleetState:
@@ -137,13 +149,14 @@ class Talk(NamedTuple):
             return tuple(
                 exchange(
                     self.radio,
-                    self.explorations,
+                    self.explorations.at(self.share.mine),
+                    self.share,
                     self.identity,
                     members,
                     heard,
                     merged,
                     self.links(state._replace(members=members), moment),
-                    poses,
+                    self.share.own(poses),
                     moment.step,
                     moment.time,
                     with_lengths=has_ways,
@@ -164,11 +177,11 @@ class Talk(NamedTuple):
             [one.robot.position(each) for one, each in zip(self.members, observed, strict=True)]
         )
 
-        def tell(known: tuple[Obstacles, ...], _: Scalar, __: Count) -> Any:
+        def tell(known: tuple[Obstacles, ...], *_: Array) -> Any:
             links = self.links(state, moment)
             near = self._may_meet(places, team.plans)
             after = []
-            for index, obstacles in enumerate(known):
+            for index, obstacles in zip(self.share.mine, known, strict=True):
                 is_heard = others((links & near)[index], self.identity, index)
                 rest = obstacles.outlines.number - is_heard.shape[0]
 
@@ -184,20 +197,20 @@ class Talk(NamedTuple):
                 plans = told.plans.told(rows(team.plans), heard)
                 after.append(dataclasses.replace(told, plans=plans))
             number = jnp.sum(links, dtype=jnp.int32) // 2
-            return tuple(after), self.coverage(state.members), number
+            return tuple(after), *self._known(state.members), number
 
         obstacles = tuple(each.belief.obstacles for each in state.members)
-        known, coverage, links = jax.lax.cond(
+        known, coverage, coverages, links = jax.lax.cond(
             moment.step % self.members[0].steps_per_scan == 0,
             tell,
             lambda *same: same,
-            *(obstacles, state.coverage, team.links),
+            *(obstacles, state.coverage, team.coverages, team.links),
         )
         members = tuple(
             each._replace(belief=dataclasses.replace(each.belief, obstacles=one))
             for each, one in zip(state.members, known, strict=True)
         )
-        team = team._replace(links=links)
+        team = team._replace(links=links, coverages=coverages)
         return state._replace(members=members, coverage=coverage, team=team)
 
     def _may_meet(
