@@ -155,9 +155,7 @@ def measure_step(robots: int = 4) -> dict[str, Any]:
     for number in (1, robots):
         controller, scenario, _, key = fleet(path, number, "claims", 0)
         endless = eqx.tree_at(
-            lambda each: [one.target_coverage for one in each.members],
-            scenario,
-            [jnp.asarray(1.0)] * number,
+            lambda each: each.explorations.kinds[0].target_coverage, scenario, jnp.asarray(1.0)
         )
         loops.append(TimedLoop(controller, endless, key, CHUNK))
     compile_seconds = [loop.run(0) for loop in loops]

@@ -96,7 +96,7 @@ INNER = {
 }
 """Functions that are called in traced code, where nothing may be checked."""
 
-RUNNING = {"compare", "map_log", "optimised", "record_runs", "simulate"}
+RUNNING = {"compare", "map_log", "optimised", "record_runs", "simulate", "simulate_in_parts"}
 """Functions that compile and run a loop if nothing is wrong. Then their own tests do."""
 
 
@@ -308,6 +308,12 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "arc_path": {"angle": 1.0},
         "augmented_mppi": {"virtual_proposal": jx.GaussianProposal([1.0])},
         "compare": {"experiments": {"one": (mppi, scenario, 1)}, "seeds": [0]},
+        "simulate_in_parts": {
+            "controller": control.FleetController([mppi], dynamics.Formation([robot])),
+            "fleet": jx.Fleet(scenario, [(2.0, 2.0, 0.0)]),
+            "num_steps": 1,
+            "workers": 1,
+        },
         "enable_compilation_cache": {"path": str(folder / "programs")},
         "clothoid_path": {"pieces": [(1.0, 0.0, 0.5)]},
         "find_parameter": {"path": "temperature"},

@@ -13,7 +13,7 @@ from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.scenario import Fleet
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
-STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4))
+STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4), (1.9, 1.5, 0.1))
 CHUNK = 25
 
 
@@ -56,7 +56,7 @@ def drive(alone):
 def fleet(alone, drive):
     """Return a maker of a fleet of equal robots and its controller."""
 
-    def make(starts=STARTS, radio=None, coordination="claims", **options):
+    def make(starts=STARTS[:2], radio=None, coordination="claims", **options):
         scenario = Fleet(
             alone, starts, radio=radio, coordination=coordination, plan_length=10, **options
         )
@@ -84,11 +84,12 @@ def run():
 
 @pytest.fixture(scope="session")
 def paired(fleet):
-    """Return the state and the records of two robots after four seconds."""
+    """Return the state and the records of robots after some seconds."""
 
     @functools.cache
     def make(radio_range: float, order: tuple[int, ...] = (0, 1)):
         radio = Radio(radio_range, uses_sight=False)
-        return advanced(*fleet([STARTS[i] for i in order], radio), 4 * 20 + 20)
+        steps = 100 if len(order) == 2 else 50
+        return advanced(*fleet([STARTS[i] for i in order], radio), steps)
 
     return make

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxplore import Lidar, Perception, Unicycle, explorer
 from jaxplore.control.fleet_controller import FleetController, same_for_all
 from jaxplore.control.guard import MotionGuard
+from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.report.compute import Timing
 from jaxplore.report.fleet.recording import FleetRecording
@@ -22,7 +24,7 @@ from jaxplore.simulation.fleet.starts import near_starts
 from jaxplore.simulation.loop import run_chunk
 from jaxplore.simulation.run import Run
 
-STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4))
+STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4), (1.9, 1.5, 0.1))
 FAR, NEAR = 100.0, 0.5
 
 
@@ -38,14 +40,47 @@ def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, fleet, 
 
 
 def test_the_order_of_the_robots_does_not_matter(paired) -> None:
-    """Keys, maps and paths move with the robots."""
-    (one, records), (other, swapped) = paired(FAR), paired(FAR, (1, 0))
-    half = records.state.shape[1] // 2
-    np.testing.assert_array_equal(records.state, np.roll(swapped.state, half, axis=1))
-    np.testing.assert_array_equal(records.coverages, swapped.coverages[:, ::-1])
-    for i in (0, 1):
-        mine, theirs = (task.members[k].belief for task, k in ((one.task, i), (other.task, 1 - i)))
+    """Keys, maps and paths move with the robots, through two exchanges of maps."""
+    order = (2, 0, 1)
+    (one, records), (other, moved) = paired(FAR, (0, 1, 2)), paired(FAR, order)
+    assert (records.sent > 0.0).sum() >= 2
+    states, there = (each.state.reshape(len(each.state), 3, -1) for each in (records, moved))
+    np.testing.assert_array_equal(states[:, order], there)
+    np.testing.assert_array_equal(records.coverages[:, order], moved.coverages)
+    for place, i in enumerate(order):
+        mine, theirs = one.task.members[i].belief, other.task.members[place].belief
         np.testing.assert_array_equal(mine.grid.probability, theirs.grid.probability)
+        np.testing.assert_array_equal(mine.guidance.values, theirs.guidance.values)
+
+
+def test_robots_of_different_kinds_explore_together(alone, drive, run) -> None:
+    """Two differential drives, and a unicycle of another size with another lidar."""
+    robot = Unicycle(max_speed=0.8, radius=0.12)
+    lidar = Lidar(num_beams=24, max_range=1.2)
+    perception = Perception(lidar, 0.1, 0.12, num_directions=4, max_clearance=0.5)
+    rates = {"control_rate": 20.0, "field_rate": 4.0}
+    other = ExplorationScenario(
+        alone.world, robot, lidar, STARTS[1], perception=perception, **rates
+    )
+    mixed = Fleet([alone, other, alone], STARTS, radio=Radio(FAR), plan_length=10)
+    assert mixed.explorations.kind_of == (0, 1, 0)
+    one = drive(has_others=True)
+    cost = MovingObstacleCost(nearness=None, clearance=0.6)
+    two = explorer(
+        robot, has_moving_obstacles=True, moving_obstacle_cost=cost, horizon=10, num_samples=32
+    )
+    state, records = run(FleetController([one, two, one], mixed.robot), mixed, 50)
+    assert not records.is_collision.any()
+    assert records.is_finite.all()
+    # Each moves, with as many numbers in its state as its model has.
+    sizes = [each.state_size for each in mixed.robot.robots]
+    begins = np.cumsum([0, *sizes[:-1]])
+    for begin in begins:
+        assert np.hypot(*np.ptp(records.state[:, begin : begin + 2], axis=0)) > 0.2
+    # The last exchange was in step 38: what each had seen by then is on the map of all.
+    merged = [np.asarray(each) for each in state.task.team.merged]
+    for each in merged[1:]:
+        np.testing.assert_allclose(each, merged[0], atol=2e-5)
 
 
 def test_robots_in_range_know_the_same_and_those_out_of_range_do_not(paired) -> None:
@@ -101,7 +136,7 @@ def test_numbers_of_the_radio_do_not_recompile(paired) -> None:
 @pytest.fixture(scope="module")
 def recording(fleet, paired) -> FleetRecording:
     """Return the recording of two robots, made of the run of another test."""
-    controller, scenario = fleet(STARTS, Radio(FAR, uses_sight=False))
+    controller, scenario = fleet(STARTS[:2], Radio(FAR, uses_sight=False))
     state, records = paired(FAR)
     arrays = functools.partial(scenario.frame, inspect=None, key=jax.random.key(0))
     moment = jax.eval_shape(lambda: state.task.robot)
@@ -126,7 +161,7 @@ def test_metrics_are_those_of_all_robots(recording) -> None:
     assert metrics.coverage == pytest.approx(recording.records.coverage[-1])
     trails = recording.trails
     assert trails.shape == (2, 101, 2)
-    np.testing.assert_allclose(trails[:, 0], [each[:2] for each in STARTS], atol=1e-6)
+    np.testing.assert_allclose(trails[:, 0], [each[:2] for each in STARTS[:2]], atol=1e-6)
     paths = [np.hypot(*np.diff(trail, axis=0).T).sum() for trail in trails]
     np.testing.assert_allclose(metrics.path_lengths, paths, rtol=1e-5)
     assert metrics.path_length == pytest.approx(sum(paths), rel=1e-5)
@@ -212,14 +247,14 @@ def test_a_range_of_the_radio_that_is_none_is_named(radio_range) -> None:
 
 def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
     with pytest.raises(ValueError, match="coordination is 'auction'; accepted: claims, assignment"):
-        Fleet(alone, STARTS, coordination="auction")
+        Fleet(alone, STARTS[:2], coordination="auction")
     with pytest.raises(ValueError, match=r"guard of robots\[0\] is given"):
-        Fleet(alone.guarded(MotionGuard()), STARTS)
+        Fleet(alone.guarded(MotionGuard()), STARTS[:2])
     endless = eqx.tree_at(lambda each: each.target_coverage, alone, jnp.float32(2.0))
     with pytest.raises(ValueError, match=r"target_coverage of robots\[0\] is None"):
-        Fleet(endless, STARTS)
+        Fleet(endless, STARTS[:2])
     with pytest.raises(ValueError, match=r"exchange_rate is 7\.0; accepted: a whole fraction"):
-        Fleet(alone, STARTS, exchange_rate=7.0)
+        Fleet(alone, STARTS[:2], exchange_rate=7.0)
     controller, scenario = fleet()
     with pytest.raises(ValueError, match="controllers has 1 entries; accepted: 2"):
         FleetController(controller.controllers[:1], scenario.robot)
@@ -228,11 +263,15 @@ def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
 
 
 def test_equal_robots_share_their_arrays(alone) -> None:
-    members = Fleet(alone, STARTS).members
+    members = Fleet(alone, STARTS[:2]).members
     assert isinstance(members[0], ExplorationScenario)
     assert members[0] is members[1]
     assert (
-        len(same_for_all(object.__new__(FleetController), Fleet(alone, STARTS).robot).controllers)
+        len(
+            same_for_all(
+                object.__new__(FleetController), Fleet(alone, STARTS[:2]).robot
+            ).controllers
+        )
         == 2
     )
 

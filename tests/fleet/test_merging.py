@@ -25,9 +25,8 @@ def meet(grids, merged, heard, links, step):
     log_odds = heard.log_odds.at[every, every].add(own)
     version = heard.version.at[every, every].set(step)
     source = newest(version, links)
-    received = taken(log_odds, source)
-    heard_any = links.any(axis=1)[:, None, None]
-    is_new = (received != log_odds).any(axis=1) | (heard_any & (own != 0.0))
+    received, is_news, _ = taken(log_odds, source)
+    is_new = is_news | (links.any(axis=1)[:, None, None] & (own != 0.0))
     after = jnp.stack(
         [merged_map(MODEL, PRIOR, received[i], grids[i], is_new[i]) for i in range(NUMBER)]
     )
@@ -84,6 +83,18 @@ def test_news_are_passed_on_and_old_ones_are_not_taken() -> None:
     links = jnp.zeros((3, 3), bool).at[0, 1].set(True).at[1, 0].set(True)
     source = np.asarray(newest(version, links))
     np.testing.assert_array_equal(source, [[0, 1, 1], [0, 1, 1], [2, 2, 2]])
+
+
+def test_what_is_taken_is_that_of_the_source_and_news_are_what_differs() -> None:
+    """Against NumPy, with random sources, most of them the robot itself."""
+    rng = np.random.default_rng(4)
+    values = rng.choice([0.0, 1.0, 2.0], (4, 4, 3, 5)).astype(np.float32)
+    source = np.where(rng.uniform(size=(4, 4)) < 0.6, np.arange(4)[:, None], rng.integers(0, 4))
+    found = jax.jit(taken)(jnp.asarray(values), jnp.asarray(source, jnp.int32))
+    expected = values[source, np.arange(4)]
+    np.testing.assert_array_equal(found.values, expected)
+    np.testing.assert_array_equal(found.is_news, (expected != values).any(axis=1))
+    assert float(found.number) == (expected != values).sum()
 
 
 def test_the_clamp_bounds_the_sum_of_all() -> None:

@@ -19,6 +19,9 @@ from jaxtyping import Array, Float
 from jaxplore._types import GridMask, GridValues
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
+SAME = 5e-6
+"""Difference of two probabilities that is no more than the rounding of sums of log-odds."""
+
 
 def own_change(model: InverseSensorModel, before: GridValues, now: GridValues) -> GridValues:
     """Return the change of the log-odds (H, W) between two maps of one robot.
@@ -48,8 +51,9 @@ def merged_map(
         contributions: (K, H, W) sums of log-odds changes.
         now: probabilities (H, W) of the map before.
         is_new: (H, W) cells with a contribution that may not be in the map. All others keep their
-            probability to the bit.
+            probability to the bit, as do those that change by less than `SAME`: what is derived
+            from them stays as it is.
     """
     total = model.log_odds(prior) + jnp.sum(contributions, axis=0)
     merged = jax.nn.sigmoid(jnp.clip(total, model.minimum, model.maximum))
-    return jnp.where(is_new, merged, now)
+    return jnp.where(is_new & (jnp.abs(merged - now) > SAME), merged, now)

@@ -375,12 +375,35 @@ class Perception(eqx.Module):
         Raises:
             ValueError: an argument of another kind or shape.
         """
+        return self.guided(self.informed(belief), pose, elapsed)
+
+    def informed(self, belief: Belief) -> Belief:
+        """Return the belief with the information field of its map; see `update_fields`.
+
+        Raises:
+            ValueError: something else than a belief.
+        """
         _kinds.instance("belief", belief, Belief)
-        pose = _checks.pose("pose", pose)
-        _checks.shaped("elapsed", elapsed, ())
         # What objects add is in the last field, and an update would keep it.
         before = belief.information if belief.objects is None else None
         information = self._information(belief.grid, belief.idleness, before)
+        return dataclasses.replace(belief, information=information)
+
+    def guided(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
+        """Return the belief with the fields that follow from its information; see `update_fields`.
+
+        Args:
+            belief: belief with the information field of its map.
+            pose: present pose (x, y, yaw) of the robot [m, m, rad].
+            elapsed: time since the last update [s].
+
+        Raises:
+            ValueError: an argument of another kind or shape.
+        """
+        _kinds.instance("belief", belief, Belief)
+        pose = _checks.pose("pose", pose)
+        _checks.shaped("elapsed", elapsed, ())
+        information = belief.information
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         return self._derived(belief, information, dwell, pose)
 

@@ -65,6 +65,7 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
             run_viewed(view, settings, folder, pictures, recorder, overwrite=overwrite)
         return
     experiment = build(settings)
+    workers = _workers(settings, record=record, resume=resume)
     if former is not None:
         _check_continues(former, experiment, resume)
     show_starts({"": given}, {"": entries})
@@ -74,6 +75,16 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
         num_trajectories = sum(_rollouts(each) for each in former.recording.frames[:1])
     elif recorder is not None:
         num_trajectories = NUM_TRAJECTORIES
+    if workers > 1:
+        save(
+            _in_parts(experiment, workers, num_trajectories),
+            folder,
+            settings,
+            pictures,
+            overwrite=overwrite,
+            recording=None,
+        )
+        return
     with warnings.catch_warnings():
         # The same text is the error of the command.
         warnings.simplefilter("ignore", RecordingWarning)
@@ -90,6 +101,52 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     finally:
         if recorder is not None and recorder.failure is not None:
             raise ValueError(recorder.failure)
+
+
+def _workers(settings: Any, *, record: Path | None, resume: Path | None) -> int:
+    """Return the number of workers among which the robots of a fleet are divided; 1 for none.
+
+    Raises:
+        ValueError: more workers than robots; a recording, or a run to continue, beside them.
+    """
+    fleet = getattr(settings, "fleet", None)
+    if fleet is None or fleet.workers == 1:
+        return 1
+    if fleet.workers > fleet.robots:
+        raise ValueError(
+            f"fleet.workers is {fleet.workers} for {fleet.robots} robots; accepted: at most one "
+            "for each"
+        )
+    for name, given in (("--record", record), ("--resume", resume)):
+        if given is not None:
+            raise ValueError(
+                f"{name} is {printable_path(given)!r} beside {fleet.workers} workers of a fleet; "
+                "accepted: one of them"
+            )
+    return int(fleet.workers)
+
+
+def _in_parts(experiment: Experiment, workers: int, num_trajectories: int) -> Run:
+    """Simulate a fleet in the workers of a local Ray cluster.
+
+    Raises:
+        ValueError: Ray is not installed, or a worker failed or died.
+    """
+    from jaxplore.study.fleet_parts import simulate_in_parts
+
+    controller, scenario, num_steps, key = experiment
+    try:
+        return simulate_in_parts(
+            controller,  # type: ignore[arg-type]
+            scenario,  # type: ignore[arg-type]
+            num_steps,
+            key=key,
+            workers=workers,
+            progress=True,
+            num_trajectories=num_trajectories,
+        )
+    except ChildProcessError as error:
+        raise ValueError(str(error)) from error
 
 
 def _rollouts(frame: Any) -> int:

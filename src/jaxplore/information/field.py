@@ -1,5 +1,6 @@
 """Look up the expected information of a scan at any pose and field of view in O(1)."""
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING
 
@@ -48,6 +49,15 @@ class InformationField(eqx.Module):
     def total(self) -> Float[Array, "rows columns"]:
         """Information of a full circle of beams at each node [nat]."""
         return self.cumulative[-1]
+
+    def without_directions(self) -> "InformationField":
+        """Return the field with nothing but `total`, which is small."""
+        return dataclasses.replace(
+            self,
+            sectors=self.sectors[:0],
+            cumulative=self.cumulative[-1:],
+            source=jnp.zeros((0, 0)),
+        )
 
     def __call__(
         self, position: Position, heading: Scalar, field_of_view: float | None = None

@@ -25,10 +25,13 @@ class FleetSettings(Section):
         robots: number of robots.
         starts: start pose (x, y, yaw) of each robot [m, m, rad]; chosen around `start` when absent,
             as near to one another as there is room.
+        workers: number of workers of a local Ray cluster among which the robots are divided; 1
+            computes all of them in this process.
     """
 
     robots: Robots = 4
     starts: Starts | None = None
+    workers: Robots = 1
     radio_range: Positive = setting(Radio, "radio_range")
     uses_sight: bool = setting(Radio, "uses_sight")
     is_central: bool = setting(Radio, "is_central")

@@ -2,3 +2,4 @@
 
 from jaxplore.study.comparison.compare import compare as compare
 from jaxplore.study.comparison.comparison import Comparison as Comparison
+from jaxplore.study.fleet_parts import simulate_in_parts as simulate_in_parts

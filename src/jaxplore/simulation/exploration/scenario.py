@@ -538,9 +538,13 @@ class ExplorationScenario(Scenario):
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""
+        return self.world_at(state.moving_obstacles, moment)
+
+    def world_at(self, moving: MovingObstacles | None, moment: Moment) -> TrueWorld:
+        """Return the true world at a moment, with given moving obstacles; see `true_world`."""
         # Walls follow the number of the step, because `advance` asks for a later time: all parts of
         # a step then see the same walls.
         grid = self.map_arrays.world
         if self.faults is not None:
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
-        return TrueWorld(grid, self.map_arrays.ground, state.moving_obstacles, moment.time)
+        return TrueWorld(grid, self.map_arrays.ground, moving, moment.time)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import Count, Flag, GridMask, Key, Pose, Scalar
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception
 from jaxplore.control.guard import MISFIT, ScanPoints
 from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump
@@ -26,6 +27,22 @@ from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_objects import TrueObjects
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.scenario import Moment
+
+
+class Scanned(NamedTuple):
+    """What a robot knows after a control period's scans, before its fields follow.
+
+    Args:
+        state: state of the task, with the obstacles predicted and the scans in the map.
+        pose: pose at which the robot takes itself to be [m, m, rad].
+        is_placed: whether it is finite.
+        is_taken: whether scans that were due were taken.
+    """
+
+    state: ExplorationState
+    pose: Pose
+    is_placed: Flag
+    is_taken: Flag
 
 
 class Senses(NamedTuple):
@@ -71,12 +88,83 @@ class Senses(NamedTuple):
             moment: time, step and observed state of the robot.
             key: random key of the step's measurements.
         """
+        scanned = self.scanned(state, truth, moment, key)
+        state, perception = scanned.state, self.perception
+
+        def track(known: Obstacles | None) -> tuple[Obstacles | None]:
+            placed = None if state.located is None else state.located.known.pose
+            return (self.tracked(known, truth, self.robot.pose(state.robot), key, placed),)
+
+        (known,) = when_due(
+            self.is_scan_due(moment.step), scanned.is_taken, track, (state.belief.obstacles,)
+        )
+        belief = dataclasses.replace(state.belief, obstacles=known)
+        located = state.located
+        here = scanned.pose if located is None else located.known.pose
+
+        def derive(current: Belief) -> tuple[Belief]:
+            if located is not None and self.localisation is not None:
+                current = self.localisation.informed(located, current)
+            return (perception.update_fields(current, here, self.since_fields),)
+
+        (belief,) = when_due(self.are_fields_due(moment.step), scanned.is_placed, derive, (belief,))
+        return state._replace(belief=belief)
+
+    def is_scan_due(self, step: Count) -> Flag:
+        """Check whether scans are due at a step."""
+        return step % self.steps_per_scan == 0
+
+    def are_fields_due(self, step: Count) -> Flag:
+        """Check whether an update of the fields is due at a step.
+
+        The fields are derived one step before a strategic layer of the same rate runs: it reads
+        fresh fields, and no single step has the cost of both.
+        """
+        every = self.steps_per_field
+        return (step % every == every - 1) | (step == 0)
+
+    @property
+    def since_fields(self) -> Scalar:
+        """Time between two updates of the fields [s]."""
+        return self.period * self.steps_per_field.astype(jnp.float32)
+
+    def tracked(
+        self,
+        known: Obstacles | None,
+        truth: TrueWorld,
+        pose: Pose,
+        key: Key,
+        known_pose: Pose | None = None,
+    ) -> Obstacles | None:
+        """Return the known obstacles after a measurement of those in sight; see
+        `TrueWorld.tracked`.
+
+        Args:
+            known: obstacles as the robot knows them; None without any.
+            truth: the true world at the moment.
+            pose: true pose of the robot [m, m, rad].
+            key: random key of the step's measurements.
+            known_pose: pose from which the robot places them; the true one when absent.
+        """
+        return truth.tracked(known, self.sensors, pose, self.tracking_noise, key, known_pose)
+
+    def scanned(
+        self, state: ExplorationState, truth: TrueWorld, moment: Moment, key: Key
+    ) -> Scanned:
+        """Scan and update the map at the sensing rate, and predict the obstacles; see `perceive`.
+
+        Args:
+            state: state of the task before.
+            truth: the true world at the moment.
+            moment: time, step and observed state of the robot.
+            key: random key of the step's measurements.
+        """
         perception, period, step = self.perception, self.period, moment.step
         # The scan is taken at the true pose and integrated at the observed one, so that odometry
         # faults distort the map.
         pose = self.robot.pose(moment.observed)
         is_placed = jnp.isfinite(pose).all()
-        is_due, guard = step % self.steps_per_scan == 0, moment.guard
+        is_due, guard = self.is_scan_due(step), moment.guard
         at = self.robot.pose(state.robot)
 
         def sense(
@@ -89,7 +177,6 @@ class Senses(NamedTuple):
         ) -> tuple[Belief, MapSums, MapProgress, Array, Array, Located | None]:
             scans = truth.scans(self.sensors, at, key) if guard is None else taken()
             since = period * self.steps_per_scan.astype(jnp.float32)
-            known_at = None
             if located is None or self.localisation is None:
                 belief, sums = observed(
                     *(perception, belief, sums, scans, pose, self.reachable, since, moment.time)
@@ -105,10 +192,6 @@ class Senses(NamedTuple):
                     belief, sums, located, scans, is_placed & is_fit, at, since, moment.time
                 )
             belief, is_seen = self._looked(belief, is_seen, truth, at, moment.time, key)
-            known = truth.tracked(
-                belief.obstacles, self.sensors, at, self.tracking_noise, key, known_at
-            )
-            belief = dataclasses.replace(belief, obstacles=known)
             ranges = jnp.concatenate([scan.ranges for scan in scans])
             progress = map_progress(sums, belief, self.reachable, moment.time)
             return belief, sums, progress, is_seen, ranges, located
@@ -156,27 +239,14 @@ class Senses(NamedTuple):
         is_taken = is_placed & is_fit
         if self.localisation is not None:
             is_taken = is_taken | (not self.localisation.localiser.is_mapping)
+        is_taken = ~moment.is_blind & is_taken
         belief, sums, progress, is_seen, mapped, located = when_due(
             is_due,
-            ~moment.is_blind & is_taken,
+            is_taken,
             sense,
             (belief, state.sums, state.progress, state.is_seen, state.ranges, state.located),
         )
-        # The fields are derived one step before a strategic layer of the same rate runs: it reads
-        # fresh fields, and no single step has the cost of both.
-        every = self.steps_per_field
-        elapsed = period * every.astype(jnp.float32)
-
-        here = pose if located is None else located.known.pose
-
-        def derive(current: Belief) -> tuple[Belief]:
-            if located is not None and self.localisation is not None:
-                current = self.localisation.informed(located, current)
-            return (perception.update_fields(current, here, elapsed),)
-
-        is_due = (step % every == every - 1) | (step == 0)
-        (belief,) = when_due(is_due, is_placed, derive, (belief,))
-        return state._replace(
+        state = state._replace(
             belief=belief,
             sums=sums,
             progress=progress,
@@ -186,6 +256,7 @@ class Senses(NamedTuple):
             points=points,
             located=located,
         )
+        return Scanned(state, pose, is_placed, is_taken)
 
     def _reset(self, belief: Belief, is_found: Flag) -> Belief:
         """Return the belief with the prior map if the robot has just found itself elsewhere: what

@@ -86,6 +86,7 @@ def assigned(costs: np.ndarray) -> np.ndarray:
 def with_assignments(
     scenarios: Sequence[ExplorationScenario],
     members: Sequence[ExplorationState],
+    places: Sequence[int],
     heard: Heard,
 ) -> tuple[ExplorationState, ...]:
     """Return the robots' states with claims that lead each one to the cluster assigned to it.
@@ -97,11 +98,12 @@ def with_assignments(
     Args:
         scenarios: exploration of each robot.
         members: state of each robot.
+        places: places of these robots in the fleet.
         heard: what the robots have heard.
     """
     version, lengths = np.asarray(heard.version), np.asarray(heard.lengths)
     after = []
-    for i, (one, state) in enumerate(zip(scenarios, members, strict=True)):
+    for i, one, state in zip(places, scenarios, members, strict=True):
         grid, stride = state.belief.grid, one.perception.field_sensor.stride
         clusters = frontier_clusters(np.asarray(grid.probability), grid.resolution)
         is_heard = version[i] != NEVER

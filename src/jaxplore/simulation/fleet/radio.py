@@ -10,12 +10,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Count, Flag, Pose, Scalar
+from jaxplore._alike import Alike
+from jaxplore._types import ArrayLike, Count, Flag, GridValues, Pose, Scalar
+from jaxplore.belief.belief import Belief
 from jaxplore.belief.claims import claim_cost, trust_in
 from jaxplore.belief.merging import merged_map, own_change
+from jaxplore.control.fleet_share import Share
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.fleet.rows import by_identity
 
 NEVER = -1
 """Version of what was never heard."""
@@ -114,27 +118,51 @@ def newest(version: Int[Array, "N N"], links: Bool[Array, "N N"]) -> Int[Array, 
     return jnp.argmax(offers + own[:, :, None].astype(jnp.int32), axis=1)
 
 
-def taken(values: Float[Array, "N N *A"], source: Int[Array, "N N"]) -> Float[Array, "N N *A"]:
+class Taken(NamedTuple):
+    """Result of `taken`.
+
+    Args:
+        values: (N, N, ...) what each robot (first axis) has of each robot (second axis).
+        is_news: (N, ...) where any of it differs from what the robot had.
+        number: number of values that differ, of all robots.
+    """
+
+    values: Float[Array, "N N *A"]
+    is_news: Bool[Array, "N *A"]
+    number: Scalar
+
+
+def taken(values: Float[Array, "N N *A"], source: Int[Array, "N N"]) -> Taken:
     """Return `values[source[i, k], k]` for each robot i and each robot k that is known.
 
-    Whole maps are copied one by one, and those that a robot has already are not: a gather of all of
-    them at once would move them cell by cell.
+    Whole maps are copied and compared one by one, and those that a robot has already are not: a
+    gather of all of them at once would move them cell by cell.
     """
     number, shape = source.shape[0], values.shape[2:]
     zeros = (0,) * len(shape)
 
-    def take(pair: Count, rows: Array) -> Array:
+    def take(pair: Count, so_far: Taken) -> Taken:
         holder, of = jnp.divmod(pair, number)
         origin = source[holder, of]
 
-        def copy(rows: Array) -> Array:
-            row = jax.lax.dynamic_slice(values, (origin, of, *zeros), (1, 1, *shape))
-            return jax.lax.dynamic_update_slice(rows, row, (holder, of, *zeros))
+        def copy(so_far: Taken) -> Taken:
+            there, here = (
+                jax.lax.dynamic_slice(values, (robot, of, *zeros), (1, 1, *shape))
+                for robot in (origin, holder)
+            )
+            is_new = there != here
+            known = jax.lax.dynamic_slice(so_far.is_news, (holder, *zeros), (1, *shape))
+            return Taken(
+                jax.lax.dynamic_update_slice(so_far.values, there, (holder, of, *zeros)),
+                jax.lax.dynamic_update_slice(so_far.is_news, known | is_new[0], (holder, *zeros)),
+                so_far.number + jnp.sum(is_new, dtype=jnp.float32),
+            )
 
-        result: Array = jax.lax.cond(origin == holder, lambda same: same, copy, rows)
+        result: Taken = jax.lax.cond(origin == holder, lambda same: same, copy, so_far)
         return result
 
-    found: Array = jax.lax.fori_loop(0, number * number, take, values)
+    nothing = Taken(values, jnp.zeros((number, *shape), bool), jnp.zeros(()))
+    found: Taken = jax.lax.fori_loop(0, number * number, take, nothing)
     return found
 
 
@@ -156,7 +184,9 @@ class Exchanged(NamedTuple):
 
 def exchange(
     radio: Radio,
-    scenarios: Sequence[ExplorationScenario],
+    explorations: Alike[ExplorationScenario],
+    share: Share,
+    identity: Int[Array, " N"],
     members: Sequence[ExplorationState],
     heard: Heard,
     merged: Sequence[Float[Array, "H W"]],
@@ -174,69 +204,91 @@ def exchange(
 
     Args:
         radio: who hears whom.
-        scenarios: exploration of each robot.
-        members: state of each robot.
+        explorations: exploration of each of the M robots that this process computes.
+        share: these robots.
+        identity: (N,) number of each robot, by which sums over robots are ordered.
+        members: state of each of the M robots.
         heard: what the robots have heard before.
-        merged: (H, W) map of each robot after the last exchange.
+        merged: (H, W) map of each of the M robots after the last exchange.
         links: (N, N) which robots hear each other.
-        poses: observed pose of each robot [m, m, rad].
+        poses: observed pose of each of the M robots [m, m, rad].
         step: number of steps before.
         time: time since the start [s].
         with_lengths: whether the lengths of paths are told; static.
         with_claims: whether claims follow from them; static.
     """
-    number = len(members)
+    number, scenarios = share.number, explorations.all
     every = jnp.arange(number)
     grids = [each.belief.grid.probability for each in members]
-    own = jnp.stack(
-        [
-            own_change(one.perception.sensor_model, old, now)
-            for one, old, now in zip(scenarios, merged, grids, strict=True)
-        ]
-    )
+    changes = [
+        own_change(one.perception.sensor_model, old, now)
+        for one, old, now in zip(scenarios, merged, grids, strict=True)
+    ]
+    own = jnp.stack(share.gathered(changes))
     log_odds = heard.log_odds.at[every, every].add(own)
     version = heard.version.at[every, every].set(step)
     source = newest(version, links)
-    received = taken(log_odds, source)
+    received, is_news, cells = taken(log_odds, source)
     version = version[source, every[None, :]]
-    is_new = received != log_odds
-    sent = CELL_BYTES * jnp.sum(is_new, dtype=jnp.float32)
-    after, maps, lengths = [], [], []
-    for i, (one, state, now, pose) in enumerate(zip(scenarios, members, grids, poses, strict=True)):
+    sent = CELL_BYTES * cells
+    # Beyond the clamp, what a robot adds to its map is not what it adds to the sum. So cells of its
+    # own scans follow the sum as well, and robots that have heard the same agree.
+    is_changed = is_news | (links.any(axis=1)[:, None, None] & (own != 0.0))
+
+    def merge(
+        one: ExplorationScenario, belief: Belief, pose: Pose, row: Count
+    ) -> tuple[GridValues, GridValues, MapSums, GridValues | None]:
         perception, reachable = one.perception, one.map_arrays.reachable
-        prior, model = one.map_arrays.prior.probability, perception.sensor_model
-        # Beyond the clamp, what a robot adds to its map is not what it adds to the sum. So cells of
-        # its own scans follow the sum as well, and robots that have heard the same agree.
-        is_changed = is_new[i].any(axis=0) | (links[i].any() & (own[i] != 0.0))
-        probability = merged_map(model, prior, received[i], now, is_changed)
-        grid = state.belief.grid.with_probability(probability)
-        belief = perception.with_map(state.belief, grid)
-        sums = MapSums.of(probability, reachable)
-        progress = map_progress(sums, belief, reachable, time)
-        after.append(state._replace(belief=belief, sums=sums, progress=progress))
-        maps.append(probability)
+        prior, before = one.map_arrays.prior.probability, belief.grid.probability
+        probability = merged_map(
+            perception.sensor_model,
+            prior,
+            by_identity(received[row], identity),
+            before,
+            is_changed[row],
+        )
+        belief = perception.with_map(belief, belief.grid.with_probability(probability))
+        lengths = None
         if with_lengths:
             stride = perception.field_sensor.stride
             roads = perception.locomotion.roadmap(
                 belief.clearance, perception.required_clearance, stride
             )
-            lengths.append(roads.lengths_from(pose))
+            lengths = roads.lengths_from(pose)
+        return probability, belief.clearance.values, MapSums.of(probability, reachable), lengths
+
+    # What a merge does not read stays where it is.
+    small = [Belief(grid=each.belief.grid, clearance=each.belief.clearance) for each in members]
+    found = explorations.each(merge, small, poses, [every[i] for i in share.mine])
+    after = []
+    for one, state, (probability, clearance, sums, _) in zip(
+        scenarios, members, found, strict=True
+    ):
+        belief = dataclasses.replace(
+            state.belief,
+            grid=state.belief.grid.with_probability(probability),
+            clearance=dataclasses.replace(state.belief.clearance, values=clearance),
+        )
+        progress = map_progress(sums, belief, one.map_arrays.reachable, time)
+        after.append(state._replace(belief=belief, sums=sums, progress=progress))
+    maps = tuple(probability for probability, *_ in found)
     told = heard.lengths
     if with_lengths:
-        told = taken(told.at[every, every].set(jnp.stack(lengths)), source)
+        lengths = share.gathered([each[-1] for each in found])
+        told, *_ = taken(told.at[every, every].set(jnp.stack(lengths)), source)
         is_told = (source != every[:, None])[:, :, None, None] & jnp.isfinite(told)
         sent = sent + NODE_BYTES * jnp.sum(is_told, dtype=jnp.float32)
     if with_claims:
         age = (step - version).astype(jnp.float32) * scenarios[0].control_period
         age = jnp.where((version == NEVER) | jnp.eye(number, dtype=bool), jnp.inf, age)
-        for i, one in enumerate(scenarios):
+        for at, (i, one) in enumerate(zip(share.mine, scenarios, strict=True)):
             cost = claim_cost(
                 lengths[i],
-                told[i],
-                trust_in(age[i], radio.claim_memory),
+                by_identity(told[i], identity),
+                by_identity(trust_in(age[i], radio.claim_memory), identity),
                 sharpness=radio.claim_sharpness,
                 decay_length=one.perception.decay_length,
             )
-            belief = dataclasses.replace(after[i].belief, claims=cost)
-            after[i] = after[i]._replace(belief=belief)
-    return Exchanged(tuple(after), Heard(received, told, version), tuple(maps), sent)
+            belief = dataclasses.replace(after[at].belief, claims=cost)
+            after[at] = after[at]._replace(belief=belief)
+    return Exchanged(tuple(after), Heard(received, told, version), maps, sent)

@@ -10,20 +10,19 @@ from jaxtyping import Array, Bool
 
 from jaxplore._types import GridValues
 from jaxplore.control.base import SampledPlan
+from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation, extent
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.state import FleetState
 
 
-def known_together(members: Sequence[ExplorationState]) -> GridValues:
+def known_together(maps: Sequence[GridValues]) -> GridValues:
     """Return of each cell the probability (H, W) that is the farthest from 1/2 on any map."""
-    known = members[0].belief.grid.probability
-    for each in members[1:]:
-        other = each.belief.grid.probability
+    known = maps[0]
+    for other in maps[1:]:
         known = jnp.where(jnp.abs(other - 0.5) > jnp.abs(known - 0.5), other, known)
     return known
 
@@ -31,6 +30,7 @@ def known_together(members: Sequence[ExplorationState]) -> GridValues:
 def fleet_frame(
     robot: Formation,
     state: FleetState,
+    share: Share,
     plan: SampledPlan | None,
     links: Bool[Array, "N N"] | None,
 ) -> dict[str, Any]:
@@ -39,6 +39,7 @@ def fleet_frame(
     Args:
         robot: model of all robots.
         state: state of the fleet.
+        share: robots that this process computes.
         plan: sampled plan of the controller; None to show none.
         links: which robots hear each other; None of a robot alone.
     """
@@ -47,10 +48,11 @@ def fleet_frame(
     plans = jnp.zeros((number, 0, 2))
     if plan is not None:
         plans = jnp.swapaxes(jax.vmap(robot.positions)(plan.nominal.states), 0, 1)
+    maps = share.gathered([each.belief.grid.probability for each in state.members])
     return {
         "positions": robot.positions(state.robot),
         "headings": jnp.stack(headings),
-        "probability": jnp.round(255.0 * known_together(state.members)).astype(jnp.uint8),
+        "probability": jnp.round(255.0 * known_together(maps)).astype(jnp.uint8),
         "plans": plans,
         "links": jnp.zeros((number, number), bool) if links is None else links,
     }
@@ -58,6 +60,7 @@ def fleet_frame(
 
 def make_recording(
     scenarios: Sequence[ExplorationScenario],
+    share: Share,
     robot: Formation,
     start: np.ndarray,
     before: FleetState,
@@ -71,6 +74,7 @@ def make_recording(
 
     Args:
         scenarios: exploration of each robot.
+        share: robots that this process computes.
         robot: model of all robots.
         start: (nx,) states at the start.
         before: state before the first step.
@@ -82,11 +86,12 @@ def make_recording(
     after: FleetState = run.state.task
     arrays = scenarios[0].map_arrays.cropped()
     grid = after.members[0].belief.grid
-    maps = [grid.cropped(each.belief.grid.probability) for each in after.members]
+    own = [grid.cropped(each.belief.grid.probability) for each in after.members]
+    maps = share.gathered_here(own)
     return FleetRecording(
         **run.common(period),
         world=np.asarray(arrays.world.probability),
-        belief=grid.cropped(known_together(after.members)),
+        belief=np.asarray(known_together([jnp.asarray(each) for each in maps])),
         beliefs=np.round(255.0 * np.stack(maps)).astype(np.uint8),
         reachable=np.asarray(arrays.reachable),
         origin=np.asarray(arrays.world.frame.origin),

@@ -1,21 +1,23 @@
 """The exploration of an unknown world by a fleet of robots."""
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplore import _checks, _kinds
+from jaxplore._alike import Alike
 from jaxplore._describe import describe_fields
 from jaxplore._trees import HostOnly
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Rows, Scalar, StateVector
 from jaxplore._xla import on_device
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.fleet_controller import FleetBelief, robot_keys
+from jaxplore.control.fleet_share import Share, checked_share
 from jaxplore.dynamics.formation import Formation, extent
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord, moved_records
 from jaxplore.report.fleet.metrics import FleetMetrics
@@ -31,9 +33,10 @@ from jaxplore.simulation.fleet.checks import checked_members, identities
 from jaxplore.simulation.fleet.contact import parted
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
+from jaxplore.simulation.fleet.senses import TeamSenses
 from jaxplore.simulation.fleet.starts import checked_starts
 from jaxplore.simulation.fleet.state import FleetState
-from jaxplore.simulation.fleet.talk import Talk, without
+from jaxplore.simulation.fleet.talk import Talk
 from jaxplore.simulation.scenario import Inspect, LoopState, Moment, Scenario
 
 COORDINATIONS = ("claims", "assignment", "none")
@@ -84,7 +87,7 @@ class Fleet(Scenario):
     frame_type = FleetFrame
     metrics_type = FleetMetrics
 
-    members: tuple[ExplorationScenario, ...]
+    explorations: Alike[ExplorationScenario]
     robot: Formation
     start: StateVector
     control_period: Scalar
@@ -93,6 +96,7 @@ class Fleet(Scenario):
     steps_per_exchange: Count
     identity: Int[Array, " N"]
     radii: Float[Array, " N"]
+    share: Share
     plan_step: Scalar
     plan_length: int = eqx.field(static=True)
     coordination: str = eqx.field(static=True)
@@ -109,7 +113,7 @@ class Fleet(Scenario):
         plan_length: int = 40,
     ) -> None:
         _kinds.instance("radio", radio, Radio, may_be_none=True)
-        self.members = checked_members(robots, starts)
+        self.explorations = Alike(checked_members(robots, starts))
         first = self.members[0]
         poses = checked_starts(self.members, starts)
         self.robot = Formation([each.robot for each in self.members])
@@ -132,6 +136,7 @@ class Fleet(Scenario):
         self.identity = on_device(identities(poses))
         radii = [extent(each.robot.footprint) for each in self.members]
         self.radii = on_device(np.asarray(radii, np.float32))
+        self.share = Share.whole(self.num_robots)
         self.plan_step = _checks.scalar("plan_step", plan_step, above=0.0)
         self.plan_length = _checks.positive_int("plan_length", plan_length)
 
@@ -139,9 +144,29 @@ class Fleet(Scenario):
         return describe_fields(self, "members", "coordination", "period")
 
     @property
+    def members(self) -> tuple[ExplorationScenario, ...]:
+        """Exploration of each robot."""
+        return self.explorations.all
+
+    @property
     def num_robots(self) -> int:
         """Number of robots, N."""
-        return len(self.members)
+        return len(self.explorations.kind_of)
+
+    def with_share(self, share: Share) -> "Fleet":
+        """Return the fleet in a process that computes some of its robots.
+
+        Args:
+            share: these robots, and how to hear of the others.
+
+        Raises:
+            ValueError: robots that are not all equal, or one alone.
+        """
+        checked_share(share, self.explorations.kinds, "robots")
+        same = copy.copy(self)
+        # Modules are frozen, and this part has no leaf that `eqx.tree_at` could set.
+        object.__setattr__(same, "share", share)
+        return same
 
     @property
     def steps_per_measurement(self) -> int:
@@ -169,16 +194,16 @@ class Fleet(Scenario):
         """Return the state with the clusters of frontier cells assigned anew, on the host."""
         task: FleetState = state.task
         assert task.team is not None
-        members = with_assignments(self.members, task.members, task.team.heard)
+        members = with_assignments(
+            self.share.own(self.members), task.members, self.share.mine, task.team.heard
+        )
         return state._replace(task=task._replace(members=members))
 
     def init(self, key: Key | None) -> tuple[FleetState, FleetBelief]:
         """Return the initial state, and the beliefs with the prior map."""
-        members = []
-        for index, (one, start) in enumerate(
-            zip(self.members, self.robot.split_state(self.start), strict=True)
-        ):
-            here = eqx.tree_at(lambda each: each.start, one, start)
+        members, starts = [], self.robot.split_state(self.start)
+        for index in self.share.mine:
+            here = eqx.tree_at(lambda each: each.start, self.members[index], starts[index])
             alone = here.init(key)[0]
             members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
         coverage, team = members[0].progress.coverage, None
@@ -198,23 +223,17 @@ class Fleet(Scenario):
         self, state: FleetState, moment: Moment, key: Key
     ) -> tuple[FleetState, FleetBelief]:
         """Let each robot scan and derive its fields, and let the robots tell what they know."""
-        state, members = self._talk.exchange_when_due(state, moment), []
-        observed = self.robot.split_state(moment.observed)
-        discs = self._talk.discs(state)
-        keys = robot_keys(key, self.identity)
-        for index, (one, each) in enumerate(zip(self.members, state.members, strict=True)):
-            own = moment._replace(observed=observed[index])
-            truth = one.true_world(each, own)
-            if discs is not None:
-                others = jax.tree.map(lambda rows, i=index: without(rows, i), discs)
-                truth = eqx.tree_at(
-                    lambda at: at.moving,
-                    truth,
-                    others.beside(truth.moving, moment.time),
-                    is_leaf=lambda leaf: leaf is None,
-                )
-            members.append(one.senses.perceive(each, truth, own, keys[index]))
-        known = state._replace(members=tuple(members))
+        state = self._talk.exchange_when_due(state, moment)
+        own = self.share.own
+        here = TeamSenses(self.explorations.at(self.share.mine), self.share.mine, self.identity)
+        members = here.perceive(
+            state.members,
+            self._talk.discs(state),
+            own(self.robot.split_state(moment.observed)),
+            moment,
+            own(robot_keys(key, self.identity)),
+        )
+        known = state._replace(members=members)
         if known.team is None:
             known = known._replace(coverage=members[0].progress.coverage)
         else:
@@ -234,7 +253,11 @@ class Fleet(Scenario):
         before = self.robot.split_state(state.robot)
         records = []
         controls = self.robot.split_control(control)
-        for one, each, own in zip(self.members, state.members, controls, strict=True):
+        here = dict(zip(self.share.mine, state.members, strict=True))
+        for index, (one, robot, own) in enumerate(zip(self.members, before, controls, strict=True)):
+            # Every process moves all robots. Of one that another process computes, nothing else is
+            # read than what is the same for equal robots.
+            each = here.get(index, state.members[0])._replace(robot=robot)
             truth = one.true_world(each, moment._replace(time=later))
             each_record, _ = move(
                 one.robot,
@@ -253,14 +276,16 @@ class Fleet(Scenario):
         clearance = jnp.stack([each.clearance for each in records])
         contact, team = jnp.zeros(self.num_robots, bool), state.team
         sent, links = jnp.zeros(()), jnp.zeros((), jnp.int32)
+        coverages = state.members[0].progress.coverage[None]
         if team is not None:
             apart = parted(self.robot, self.radii, before, moved)
             moved, contact = list(apart.states), apart.is_contact
             clearance = jnp.minimum(clearance, apart.gap)
-            sent, links = team.sent, team.links
+            sent, links, coverages = team.sent, team.links, team.coverages
             team = self._talk.planned(team, state.robot, moved, moment.step, info)
         members = tuple(
-            each._replace(robot=robot) for each, robot in zip(state.members, moved, strict=True)
+            each._replace(robot=robot)
+            for each, robot in zip(state.members, self.share.own(moved), strict=True)
         )
         joint = jnp.concatenate(moved)
         state = state._replace(robot=joint, members=members, team=team)
@@ -269,7 +294,7 @@ class Fleet(Scenario):
             state=joint,
             control=control,
             coverage=state.coverage,
-            coverages=jnp.stack([each.progress.coverage for each in members]),
+            coverages=coverages,
             clearance=clearance,
             is_collision=jnp.stack([each.is_collision for each in records]),
             is_contact=contact,
@@ -302,8 +327,8 @@ class Fleet(Scenario):
 
     def for_batches(self) -> "Fleet":
         """Return the scenario with perceptions that are efficient under `jax.vmap`."""
-        members = tuple(each.for_batches() for each in self.members)
-        same: Fleet = eqx.tree_at(lambda at: at.members, self, members)
+        batched = self.explorations.map(lambda each: each.for_batches())
+        same: Fleet = eqx.tree_at(lambda at: at.explorations, self, batched)
         return same
 
     def varied(self, variation: Any) -> "Fleet":
@@ -333,7 +358,7 @@ class Fleet(Scenario):
         """Return what the robots know together, their poses, plans and links."""
         plan = None if inspect is None else inspect(moment.observed, self._belief(state))
         links = None if state.team is None else self._talk.links(state, moment)
-        return fleet_frame(self.robot, state, plan, links)
+        return fleet_frame(self.robot, state, self.share, plan, links)
 
     def make_frame(self, step: int, arrays: Any) -> FleetFrame:
         """Make a frame on the host, with the cells that are on the map."""
@@ -352,6 +377,7 @@ class Fleet(Scenario):
         """Make the recording of a run."""
         local = make_recording(
             self.members,
+            self.share,
             self.robot,
             np.asarray(self.start),
             before,
@@ -371,7 +397,9 @@ class Fleet(Scenario):
         """How the robots tell one another what they know."""
         return Talk(
             self.robot,
-            self.members,
+            self.explorations,
+            self.share,
+            self.identity,
             self.radii,
             self.radio,
             self.steps_per_exchange,

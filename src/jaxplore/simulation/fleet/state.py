@@ -15,11 +15,12 @@ class Team(NamedTuple):
 
     Args:
         heard: what each has heard of each.
-        merged: (H, W) map of each robot after the last exchange.
+        merged: (H, W) map of each robot that this process computes after the last exchange.
         plans: (N, S, 2) positions that each robot plans to pass [m].
         velocities: (N, 2) velocities during the last step [m/s].
         sent: size of the messages of the present step [bytes].
         links: number of pairs of robots that heard each other last.
+        coverages: (N,) share of the reachable cells that each knew to be free at the last scan.
     """
 
     heard: Heard
@@ -28,6 +29,7 @@ class Team(NamedTuple):
     velocities: Float[Array, "N 2"]
     sent: Scalar
     links: Count
+    coverages: Float[Array, " N"]
 
 
 class FleetState(NamedTuple):
@@ -35,7 +37,7 @@ class FleetState(NamedTuple):
 
     Args:
         robot: (nx,) true states of all robots, one after the other.
-        members: state of each robot as an explorer.
+        members: state of each robot as an explorer, of those that this process computes.
         coverage: share of the reachable cells that some robot knows to be free.
         gain: the last rise of the coverage.
         finished: number of steps since the task was finished; 0 before.

@@ -1,23 +1,27 @@
 """How the robots of a fleet tell one another what they know, at the rates of scans and of maps."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxplore._alike import Alike
 from jaxplore._types import Count, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.plans import Plans
 from jaxplore.control.base import Info
+from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.contact import planned_positions
 from jaxplore.simulation.fleet.radio import Exchanged, Heard, Radio, exchange
+from jaxplore.simulation.fleet.rows import others
 from jaxplore.simulation.fleet.state import FleetState, Team
 from jaxplore.simulation.scenario import Moment
 
@@ -30,7 +34,9 @@ class Talk(NamedTuple):
 
     Args:
         robot: model of all robots.
-        members: exploration of each robot.
+        explorations: exploration of each robot.
+        share: robots that this process computes; `members` of a state are theirs.
+        identity: (N,) number of each robot, by which the others are ordered.
         radii: (N,) radii of the circles that hold the robots [m].
         radio: who hears whom.
         steps_per_exchange: control periods between two exchanges of maps.
@@ -40,7 +46,9 @@ class Talk(NamedTuple):
     """
 
     robot: Formation
-    members: tuple[ExplorationScenario, ...]
+    explorations: Alike[ExplorationScenario]
+    share: Share
+    identity: Int[Array, " N"]
     radii: Float[Array, " N"]
     radio: Radio
     steps_per_exchange: Count
@@ -48,11 +56,16 @@ class Talk(NamedTuple):
     plan_length: int
     coordination: str
 
+    @property
+    def members(self) -> tuple[ExplorationScenario, ...]:
+        """Exploration of each robot."""
+        return self.explorations.all
+
     def with_others(self, state: ExplorationState, index: int) -> ExplorationState:
         """Return the state of a robot whose belief has the other robots and a map of claims."""
-        belief, others = state.belief, Obstacles.unseen(without(self.radii, index))
+        belief, around = state.belief, Obstacles.unseen(others(self.radii, self.identity, index))
         known = belief.obstacles
-        every = others if known is None else known + others
+        every = around if known is None else known + around
         number = every.outlines.number
         plans = Plans.unknown(number, self.plan_length + 1, self.plan_step)
         every = dataclasses.replace(every, plans=plans)
@@ -64,12 +77,13 @@ class Talk(NamedTuple):
 
     def begin(self, members: Sequence[ExplorationState]) -> Team:
         """Return what the robots have told one another at the start: nothing."""
-        number = len(members)
+        number = self.share.number
         belief = members[0].belief
         rows, columns = belief.information.total.shape
         nodes = (rows, columns) if self.coordination != "none" else (1, 1)
         # The cells below a robot, which it knows to be free from the start, are news to the others.
-        priors = tuple(each.map_arrays.prior.probability for each in self.members)
+        own = self.share.own(self.members)
+        priors = tuple(each.map_arrays.prior.probability for each in own)
         return Team(
             Heard.nothing(number, belief.grid.shape, nodes),
             priors,
@@ -77,16 +91,23 @@ class Talk(NamedTuple):
             jnp.zeros((number, 2)),
             jnp.zeros(()),
             jnp.zeros((), jnp.int32),
+            self._known(members)[1],
         )
+
+    def _known(self, members: Sequence[ExplorationState]) -> tuple[Scalar, Float[Array, " N"]]:
+        """Return the coverage of all robots together and that of each."""
+        rows = self.share.gathered(
+            [(each.belief.grid.is_free, each.progress.coverage) for each in members]
+        )
+        known = functools.reduce(jnp.logical_or, [is_free for is_free, _ in rows])
+        reachable = self.members[0].map_arrays.reachable
+        found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
+        together = found / self.members[0].num_reachable
+        return together, jnp.stack([each for _, each in rows])
 
     def coverage(self, members: Sequence[ExplorationState]) -> Scalar:
         """Return the share of the reachable cells that some robot knows to be free."""
-        known = members[0].belief.grid.is_free
-        for each in members[1:]:
-            known = known | each.belief.grid.is_free
-        reachable = self.members[0].map_arrays.reachable
-        found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
-        return found / self.members[0].num_reachable
+        return self._known(members)[0]
 
     def discs(self, state: FleetState) -> MovingDiscs | None:
         """Return all robots as discs that move; None for a robot alone."""
@@ -98,13 +119,16 @@ class Talk(NamedTuple):
     def links(self, state: FleetState, moment: Moment) -> Bool[Array, "N N"]:
         """Return which robots hear each other."""
         positions = self.robot.positions(state.robot)
-        sees = []
-        for one, each in zip(self.members, state.members, strict=True):
-            truth, pose = one.true_world(each, moment), one.robot.pose(each.robot)
+
+        def seen(one: ExplorationScenario, robot: StateVector) -> Bool[Array, " N"]:
+            # What moves hides no robot from the radio.
+            truth, pose = one.world_at(None, moment), one.robot.pose(robot)
             views = [
                 sensor.sees(truth.grid, pose, positions, truth.ground) for sensor in one.sensors
             ]
-            sees.append(jnp.stack(views).any(axis=0))
+            return jnp.stack(views).any(axis=0)
+
+        sees = self.explorations.each(seen, self.robot.split_state(state.robot))
         return self.radio.links(positions, jnp.stack(sees))
 
     def exchange_when_due(self, state: FleetState, moment: Moment) -> FleetState:
@@ -125,12 +149,14 @@ class Talk(NamedTuple):
             return tuple(
                 exchange(
                     self.radio,
-                    self.members,
+                    self.explorations.at(self.share.mine),
+                    self.share,
+                    self.identity,
                     members,
                     heard,
                     merged,
                     self.links(state._replace(members=members), moment),
-                    poses,
+                    self.share.own(poses),
                     moment.step,
                     moment.time,
                     with_lengths=has_ways,
@@ -151,18 +177,18 @@ class Talk(NamedTuple):
             [one.robot.position(each) for one, each in zip(self.members, observed, strict=True)]
         )
 
-        def tell(known: tuple[Obstacles, ...], _: Scalar, __: Count) -> Any:
+        def tell(known: tuple[Obstacles, ...], *_: Array) -> Any:
             links = self.links(state, moment)
             near = self._may_meet(places, team.plans)
             after = []
-            for index, obstacles in enumerate(known):
-                is_heard = without((links & near)[index], index)
+            for index, obstacles in zip(self.share.mine, known, strict=True):
+                is_heard = others((links & near)[index], self.identity, index)
                 rest = obstacles.outlines.number - is_heard.shape[0]
 
                 def rows(values: Array, i: int = index, first: int = rest) -> Array:
                     """Return the rows of the others, after those of the world's obstacles."""
-                    others = without(values, i)
-                    return jnp.concatenate([jnp.zeros((first, *others.shape[1:])), others])
+                    told = others(values, self.identity, i)
+                    return jnp.concatenate([jnp.zeros((first, *told.shape[1:])), told])
 
                 heard = jnp.concatenate([jnp.zeros(rest, bool), is_heard])
                 zero = jnp.zeros(())
@@ -171,20 +197,20 @@ class Talk(NamedTuple):
                 plans = told.plans.told(rows(team.plans), heard)
                 after.append(dataclasses.replace(told, plans=plans))
             number = jnp.sum(links, dtype=jnp.int32) // 2
-            return tuple(after), self.coverage(state.members), number
+            return tuple(after), *self._known(state.members), number
 
         obstacles = tuple(each.belief.obstacles for each in state.members)
-        known, coverage, links = jax.lax.cond(
+        known, coverage, coverages, links = jax.lax.cond(
             moment.step % self.members[0].steps_per_scan == 0,
             tell,
             lambda *same: same,
-            *(obstacles, state.coverage, team.links),
+            *(obstacles, state.coverage, team.coverages, team.links),
         )
         members = tuple(
             each._replace(belief=dataclasses.replace(each.belief, obstacles=one))
             for each, one in zip(state.members, known, strict=True)
         )
-        team = team._replace(links=links)
+        team = team._replace(links=links, coverages=coverages)
         return state._replace(members=members, coverage=coverage, team=team)
 
     def _may_meet(
@@ -221,8 +247,3 @@ class Talk(NamedTuple):
 
         plans = jax.lax.cond(is_due, plan, lambda same: same, team.plans)
         return team._replace(plans=plans, velocities=change / self.members[0].control_period)
-
-
-def without(rows: Array, index: int) -> Array:
-    """Return the rows of an array without that of one robot."""
-    return jnp.concatenate([rows[:index], rows[index + 1 :]])

@@ -1,0 +1,124 @@
+"""Two robots in one process and in two workers of a cluster, which die or are stopped."""
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxplore as jx
+from jaxplore.control.fleet_controller import same_for_all
+from jaxplore.costs.moving import MovingObstacleCost
+from jaxplore.simulation.run import simulate
+from jaxplore.study.fleet_parts import simulate_in_parts
+
+STEPS = 40
+
+
+def two_robots():
+    """Return controller and fleet of two small robots in a room with a wall."""
+    world = np.zeros((30, 40), np.float32)
+    world[0], world[-1], world[:, 0], world[:, -1] = 1.0, 1.0, 1.0, 1.0
+    world[8:22, 20] = 1.0
+    robot = jx.DifferentialDrive(max_speed=1.0, radius=0.15)
+    lidar = jx.Lidar(num_beams=36, max_range=1.5, range_noise=0.01)
+    perception = jx.Perception(lidar, 0.1, 0.15, num_directions=4, max_clearance=0.5)
+    alone = jx.ExplorationScenario(
+        jx.OccupancyGrid(world, 0.1),
+        robot,
+        lidar,
+        (1.0, 1.0, 0.3),
+        perception=perception,
+        control_rate=20.0,
+        field_rate=4.0,
+    )
+    fleet = jx.Fleet(alone, [(1.0, 1.0, 0.3), (1.0, 2.0, -0.4)], plan_length=10)
+    drive = jx.explorer(
+        robot,
+        has_moving_obstacles=True,
+        moving_obstacle_cost=MovingObstacleCost(nearness=None, clearance=0.6),
+        horizon=10,
+        num_samples=32,
+    )
+    return same_for_all(drive, fleet.robot), fleet
+
+
+def workers():
+    """Return the processes of actors that descend from this process."""
+    parents, names = {}, {}
+    for each in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            name, _, rest = each.read_text().partition("(")[2].rpartition(")")
+            parents[int(each.parent.name)] = int(rest.split()[1])
+            names[int(each.parent.name)] = name
+        except OSError:
+            continue  # it has ended
+    found = {os.getpid()}
+    while more := {each for each, parent in parents.items() if parent in found} - found:
+        found |= more
+    return sorted(each for each in found if names.get(each, "").startswith("ray::_Worker"))
+
+
+def once_they_run(act):
+    """Call a function with the workers, in a thread, a while after there are two."""
+
+    def wait():
+        deadline = time.monotonic() + 120.0
+        while time.monotonic() < deadline:
+            if len(found := workers()) == 2:
+                time.sleep(2.0)
+                act(found)
+                return
+            time.sleep(0.2)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def ends(act):
+    """Return how a run ends in which something happens, and whether workers are left."""
+    once_they_run(act)
+    try:
+        simulate_in_parts(controller, fleet, 100_000, workers=2, **options)
+    except ChildProcessError as error:
+        said = str(error)
+    except KeyboardInterrupt:
+        said = "interrupted"
+    deadline = time.monotonic() + 20.0
+    while workers() and time.monotonic() < deadline:
+        time.sleep(0.2)
+    return [said, len(workers())]
+
+
+if __name__ == "__main__":
+    # A shell ignores the signal for what it runs in the background.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    controller, fleet = two_robots()
+    options = {"key": jax.random.key(3), "num_trajectories": 0}
+    if sys.argv[1] == "ends":
+        killed = ends(lambda found: os.kill(found[0], signal.SIGKILL))
+        stopped = ends(lambda _: os.kill(os.getpid(), signal.SIGINT))
+        print(json.dumps([killed, stopped]))
+        sys.exit()
+    one = simulate(controller, fleet, STEPS, **options).recording
+    parts = simulate_in_parts(controller, fleet, STEPS, workers=2, **options).recording
+    gaps = {
+        name: float(
+            np.abs(
+                np.asarray(getattr(one.records, name), np.float64)
+                - np.asarray(getattr(parts.records, name), np.float64)
+            ).max()
+        )
+        for name in one.records._fields
+    }
+    gaps["beliefs"] = float(np.abs(one.beliefs.astype(int) - parts.beliefs.astype(int)).max())
+    gaps["frames"] = float(
+        np.abs(one.frames[-1].probability.astype(int) - parts.frames[-1].probability).max()
+    )
+    sent = float(parts.records.sent.sum())
+    moved = float(np.ptp(parts.records.state, axis=0).max())
+    print(json.dumps({"gaps": gaps, "sent": sent, "moved": moved, "steps": parts.num_steps}))
