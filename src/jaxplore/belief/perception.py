@@ -11,15 +11,12 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DIRECTIONS
-from jaxplore._types import ArrayLike, Flag, GridValues, Pose, Position, Scalar, Vector
+from jaxplore._types import ArrayLike, Pose, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.car import CarMotion
-from jaxplore.belief.dwell import add_dwell, dwell_discount
-from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
-from jaxplore.belief.goal_field import goal_field
-from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.fields import BeliefFields
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception_checks import (
     as_scans,
@@ -29,10 +26,8 @@ from jaxplore.belief.perception_checks import (
     safe_stride,
 )
 from jaxplore.belief.recognition import Recognition
-from jaxplore.belief.roadmap import ROOMY, Locomotion, TurnsOnTheSpot
+from jaxplore.belief.roadmap import ROOMY, TurnsOnTheSpot
 from jaxplore.belief.standing import freed_below
-from jaxplore.belief.zones import unknown_fraction
-from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps.clearance import clearance_field, closed_cells, update_clearance
 from jaxplore.maps.field import ScalarField
@@ -53,7 +48,7 @@ MAX_UNKNOWN = 0.05
 """Default share of unknown cells below which a map counts as explored (quadrotor design notes)."""
 
 
-class Perception(eqx.Module):
+class Perception(BeliefFields):
     """Builds and updates a `Belief` from scans.
 
     The guidance field is the cost-to-go of `jaxplore.belief.exploration_field`. Its sources are
@@ -115,27 +110,7 @@ class Perception(eqx.Module):
             lidar.
     """
 
-    sensors: tuple[Sensor, ...]
-    sensor_model: InverseSensorModel
-    field_sensor: FieldSensor
-    locomotion: Locomotion
     resolution: float = eqx.field(static=True)
-    max_clearance: float = eqx.field(static=True)
-    required_clearance: Scalar
-    decay_length: Scalar
-    min_information: Scalar
-    occupancy_prior: Scalar
-    patience: Scalar
-    memory: Scalar
-    goal: Position | None
-    max_unknown: Scalar
-    ground: Ground | None
-    watch: IdlenessMap | None
-    anomalies: AnomalyTest | None
-    recognition: Recognition | None
-    unknown_factor: Scalar
-    is_goal_apart: bool = eqx.field(static=True)
-    is_batched: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -364,143 +339,6 @@ class Perception(eqx.Module):
         reach = max(sensor.max_range for sensor in self.sensors)
         return Window.around(pose[:2], reach, grid.frame, grid.shape)
 
-    def update_fields(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
-        """Update the information and guidance fields of the belief.
-
-        Args:
-            belief: belief after the last scan.
-            pose: present pose (x, y, yaw) of the robot [m, m, rad].
-            elapsed: time since the last update [s].
-
-        Raises:
-            ValueError: an argument of another kind or shape.
-        """
-        return self.guided(self.informed(belief), pose, elapsed)
-
-    def informed(self, belief: Belief) -> Belief:
-        """Return the belief with the information field of its map; see `update_fields`.
-
-        Raises:
-            ValueError: something else than a belief.
-        """
-        _kinds.instance("belief", belief, Belief)
-        # What objects add is in the last field, and an update would keep it.
-        before = belief.information if belief.objects is None else None
-        information = self._information(belief.grid, belief.idleness, before)
-        return dataclasses.replace(belief, information=information)
-
-    def guided(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
-        """Return the belief with the fields that follow from its information; see `update_fields`.
-
-        Args:
-            belief: belief with the information field of its map.
-            pose: present pose (x, y, yaw) of the robot [m, m, rad].
-            elapsed: time since the last update [s].
-
-        Raises:
-            ValueError: an argument of another kind or shape.
-        """
-        _kinds.instance("belief", belief, Belief)
-        pose = _checks.pose("pose", pose)
-        _checks.shaped("elapsed", elapsed, ())
-        information = belief.information
-        dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
-        return self._derived(belief, information, dwell, pose)
-
     def _clearance(self, grid: OccupancyGrid) -> ScalarField:
         closed = closed_cells(grid, self.ground)
         return clearance_field(closed, grid.frame, self.max_clearance)
-
-    def _derived(
-        self, belief: Belief, information: InformationField, dwell: GridValues, pose: Pose
-    ) -> Belief:
-        """Return the belief with the fields that follow from its map and the information."""
-        if self.anomalies is not None and belief.anomalies is not None:
-            information = self.anomalies.attended(belief.anomalies, information, belief.grid)
-        if self.recognition is not None and belief.objects is not None:
-            information = self.recognition.informed(
-                belief.objects, information, belief.grid, self.sensors[0].max_range
-            )
-        guidance, is_explored = self._guided(
-            belief.grid,
-            belief.clearance,
-            information,
-            dwell,
-            pose,
-            belief.claims,
-            belief.revisit,
-        )
-        return dataclasses.replace(
-            belief,
-            information=information,
-            guidance=guidance,
-            dwell=dwell,
-            is_explored=is_explored,
-            # A lost robot has no finite pose. Costs measure from the last finite one.
-            pose=jnp.where(jnp.isfinite(pose).all(), pose, belief.pose),
-            to_goal=self._to_goal(belief.grid, pose),
-        )
-
-    def _information(
-        self, grid: OccupancyGrid, idleness: GridValues | None, before: InformationField | None
-    ) -> InformationField:
-        """Return the information field, updated from the last one if that suffices."""
-        prior = self.occupancy_prior
-        if self.watch is not None and idleness is not None:
-            # The interest of every cell changes with time, so the whole field is recomputed.
-            interest = self.watch.interest(idleness)
-            return self.field_sensor.field(grid, self.sensor_model, interest, prior=prior)
-        if before is None or self.is_batched:
-            return self.field_sensor.field(grid, self.sensor_model, prior=prior)
-        return self.field_sensor.update(before, grid, self.sensor_model, prior=prior)
-
-    def _to_goal(self, grid: OccupancyGrid, pose: Pose) -> GuidanceField | None:
-        if not self.is_goal_apart or self.goal is None:
-            return None
-        return goal_field(
-            grid,
-            None if self.ground is None else ~self.ground.is_traversable,
-            self.goal,
-            self.required_clearance,
-            self.locomotion,
-            unknown_factor=self.unknown_factor,
-            max_clearance=self.max_clearance,
-            stride=self.field_sensor.stride,
-            start=pose[:2],
-        ).from_pose(pose)
-
-    def _guided(
-        self,
-        grid: OccupancyGrid,
-        clearance: ScalarField,
-        information: InformationField,
-        dwell: GridValues,
-        pose: Pose,
-        claims: GridValues | None = None,
-        revisit: GridValues | None = None,
-    ) -> tuple[GuidanceField, Flag]:
-        """Return the guidance, and whether the map counts as explored; never without a goal."""
-        worth = information.total
-        if revisit is not None:
-            worth = worth + revisit
-        # It gives up what it waits for in vain, information or a place that it does not recognise.
-        worth = worth * dwell_discount(dwell, self.patience)
-        is_known = is_goal_next = jnp.array(False)
-        if self.goal is not None:
-            is_known = unknown_fraction(grid) < self.max_unknown
-        guidance = exploration_field(
-            clearance,
-            worth,
-            self.required_clearance,
-            self.locomotion,
-            decay_length=self.decay_length,
-            min_information=self.min_information,
-            stride=self.field_sensor.stride,
-            goal=None if self.is_goal_apart else self.goal,
-            is_explored=is_known,
-            start=pose[:2],
-            claims=claims,
-        ).from_pose(pose)
-        if self.goal is not None and not self.is_goal_apart:
-            is_goal_next = leads_to_goal(guidance, pose[:2])
-        return guidance, is_known | is_goal_next
