@@ -83,4 +83,7 @@ def test_settings_of_workers_that_do_not_fit_get_one_line(fails) -> None:
     line = fails("run", "fleet", "--robots", "2", "--set", "fleet.workers=3")
     assert "fleet.workers is 3 for 2 robots; accepted: at most one for each" in line
     line = fails("run", "fleet", "--set", "fleet.workers=2", "--record", "run.mcap")
-    assert "--record is 'run.mcap' beside 2 workers of a fleet" in line
+    assert "fleet.workers is 2 beside --record; accepted: 1" in line
+    assert "fleet.workers is 2 beside --view" in fails(
+        "run", "fleet", "--set", "fleet.workers=2", "--view"
+    )

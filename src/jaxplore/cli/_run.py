@@ -1,6 +1,7 @@
 """`jaxplore run`: simulates one run and writes its folder."""
 
 import warnings
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,8 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     check_memory([make_settings(given)], limit)
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
+    beside = {"--record": record, "--resume": resume, "--view": has_view or None}
+    workers = _workers(settings, beside)
     show_unread(options["assignments"], [settings])
     folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
     # The folder is checked before the run, which may take minutes.
@@ -65,7 +68,6 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
             run_viewed(view, settings, folder, pictures, recorder, overwrite=overwrite)
         return
     experiment = build(settings)
-    workers = _workers(settings, record=record, resume=resume)
     if former is not None:
         _check_continues(former, experiment, resume)
     show_starts({"": given}, {"": entries})
@@ -103,11 +105,15 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
             raise ValueError(recorder.failure)
 
 
-def _workers(settings: Any, *, record: Path | None, resume: Path | None) -> int:
+def _workers(settings: Any, beside: Mapping[str, Path | bool | None]) -> int:
     """Return the number of workers among which the robots of a fleet are divided; 1 for none.
 
+    Args:
+        settings: settings of the run.
+        beside: options that need the robots in one process, with None for what is not given.
+
     Raises:
-        ValueError: more workers than robots; a recording, or a run to continue, beside them.
+        ValueError: more workers than robots; one of the options beside them.
     """
     fleet = getattr(settings, "fleet", None)
     if fleet is None or fleet.workers == 1:
@@ -117,11 +123,11 @@ def _workers(settings: Any, *, record: Path | None, resume: Path | None) -> int:
             f"fleet.workers is {fleet.workers} for {fleet.robots} robots; accepted: at most one "
             "for each"
         )
-    for name, given in (("--record", record), ("--resume", resume)):
+    for name, given in beside.items():
         if given is not None:
             raise ValueError(
-                f"{name} is {printable_path(given)!r} beside {fleet.workers} workers of a fleet; "
-                "accepted: one of them"
+                f"fleet.workers is {fleet.workers} beside {name}; accepted: 1, which computes all "
+                "robots in one process"
             )
     return int(fleet.workers)
 

@@ -25,8 +25,8 @@ class FleetSettings(Section):
         robots: number of robots.
         starts: start pose (x, y, yaw) of each robot [m, m, rad]; chosen around `start` when absent,
             as near to one another as there is room.
-        workers: number of workers of a local Ray cluster among which the robots are divided; 1
-            computes all of them in this process.
+        workers: number of workers of a local Ray cluster among which `jaxplore run` divides the
+            robots; with 1, as in all other commands, one process computes them.
     """
 
     robots: Robots = 4

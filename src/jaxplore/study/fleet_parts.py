@@ -4,6 +4,7 @@ import asyncio
 import dataclasses
 import pickle
 import uuid
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -183,7 +184,10 @@ def _recorded(
 ) -> Any:
     """Return the recording of the first worker, after all of them have finished."""
     number = len(places)
-    pool = RayPool(number, address)
+    with warnings.catch_warnings():
+        # Ray starts programs, and a process that is forked for one runs nothing of JAX.
+        warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
+        pool = RayPool(number, address)
     try:
         ray = import_optional("ray", "distributed")
         packed = import_optional("ray.cloudpickle", "distributed").dumps(what)

@@ -25,12 +25,12 @@ from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.finish import Gain, has_coverage_target
-from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import checked_members, identities
 from jaxplore.simulation.fleet.contact import parted
+from jaxplore.simulation.fleet.motion import moves
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
 from jaxplore.simulation.fleet.senses import TeamSenses
@@ -249,29 +249,9 @@ class Fleet(Scenario):
         A robot that would touch something solid or another robot stops instead, and the step counts
         as a collision or as a contact.
         """
-        period, later = self.control_period, moment.time + self.control_period
         before = self.robot.split_state(state.robot)
-        records = []
         controls = self.robot.split_control(control)
-        here = dict(zip(self.share.mine, state.members, strict=True))
-        for index, (one, robot, own) in enumerate(zip(self.members, before, controls, strict=True)):
-            # Every process moves all robots. Of one that another process computes, nothing else is
-            # read than what is the same for equal robots.
-            each = here.get(index, state.members[0])._replace(robot=robot)
-            truth = one.true_world(each, moment._replace(time=later))
-            each_record, _ = move(
-                one.robot,
-                each,
-                own,
-                truth,
-                period=period,
-                reach=one.clearance_reach,
-                info=info,
-                is_faulty=moment.is_faulty,
-                stop=None,
-                chassis=None,
-            )
-            records.append(each_record)
+        records = moves(self.members, self.share, state.members, before, controls, moment, info)
         moved = [each.state for each in records]
         clearance = jnp.stack([each.clearance for each in records])
         contact, team = jnp.zeros(self.num_robots, bool), state.team

@@ -1,0 +1,60 @@
+"""The motion of the robots of a fleet among what is solid, before contact with one another."""
+
+from collections.abc import Sequence
+
+from jaxtyping import Array
+
+from jaxplore.control.base import Info
+from jaxplore.control.fleet_share import Share
+from jaxplore.report.exploration.data import ExplorationRecord
+from jaxplore.simulation.exploration.motion import move
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.scenario import Moment
+
+
+def moves(
+    scenarios: Sequence[ExplorationScenario],
+    share: Share,
+    members: Sequence[ExplorationState],
+    before: Sequence[Array],
+    controls: Sequence[Array],
+    moment: Moment,
+    info: Info,
+) -> list[ExplorationRecord]:
+    """Move each robot for a control period, unless it would touch something solid; see `move`.
+
+    Every process moves all robots. Of one that another process computes, nothing but the record's
+    state, clearance and collision is meant.
+
+    Args:
+        scenarios: exploration of each robot.
+        share: robots that this process computes.
+        members: state of these robots.
+        before: state (n,) of each robot before the step.
+        controls: control (nu,) of each robot.
+        moment: the moment of the step.
+        info: diagnostics of the controllers.
+    """
+    here = dict(zip(share.mine, members, strict=True))
+    records = []
+    for index, (one, robot, control) in enumerate(zip(scenarios, before, controls, strict=True)):
+        # What is read of another state than the robot's is the same for equal robots.
+        each = here.get(index, members[0])._replace(robot=robot)
+        period = scenarios[0].control_period
+        # What moves does so during the step as well, so contact is with where it is at its end.
+        truth = one.true_world(each, moment._replace(time=moment.time + period))
+        record, _ = move(
+            one.robot,
+            each,
+            control,
+            truth,
+            period=period,
+            reach=one.clearance_reach,
+            info=info,
+            is_faulty=moment.is_faulty,
+            stop=None,
+            chassis=None,
+        )
+        records.append(record)
+    return records
