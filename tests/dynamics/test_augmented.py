@@ -94,3 +94,12 @@ def test_a_pose_begins_at_the_start_and_a_wall_stops_the_robot_only() -> None:
 def test_bad_parts(build, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         build()
+
+
+@every_robot
+def test_another_pose_is_that_of_the_physical_part(name: str) -> None:
+    model, robot = augmented(name), ROBOTS[name]
+    state, pose = robot.at_pose(1.0, 2.0, 0.5), jnp.array([3.0, -1.0, 0.9])
+    moved = model.with_pose(jnp.append(state, 4.0), pose)
+    np.testing.assert_array_equal(moved[:-1], robot.with_pose(state, pose))
+    assert moved[-1] == 4.0

@@ -236,3 +236,33 @@ def test_control_bounds() -> None:
 def test_rates_are_named(value: list[float]) -> None:
     with pytest.raises(ValueError, match=r"^max_rate is \[.*accepted: one positive number, or 3$"):
         Quadrotor(max_rate=value)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_another_pose_turns_attitude_and_velocity_about_the_vertical(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    state, pose, error = random_start(seed), rng.normal(size=3), rng.normal(size=2)
+    found = np.asarray(
+        ROBOT.with_pose(*(jnp.asarray(each, jnp.float32) for each in (state, pose, error)))
+    )
+    about = Rotation.from_euler("z", pose[2] - rotation(state).as_euler("ZYX")[0])
+    wrong = Rotation.from_euler("z", pose[2]).apply([*error, 0.0])
+    expected = state_of(
+        [*pose[:2], state[2]],
+        about.apply(state[3:6]) + wrong,
+        about * rotation(state),
+        state[10:],
+    )
+    expected[6:10] *= np.sign(expected[6:10] @ found[6:10])
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    np.testing.assert_allclose(ROBOT.pose(jnp.asarray(found)), pose, atol=1e-5)
+    # Roll and pitch are those of before.
+    angles = rotation(found).as_euler("ZYX"), rotation(state).as_euler("ZYX")
+    np.testing.assert_allclose(angles[0][1:], angles[1][1:], atol=1e-5)
+
+
+def test_without_a_pose_it_still_knows_what_it_brakes_by() -> None:
+    state = jnp.asarray(random_start(1))
+    found = ROBOT.with_pose(state, jnp.full(3, jnp.nan))
+    assert np.isnan(found[:2]).all()
+    np.testing.assert_allclose(found[2:], state[2:], atol=1e-6)

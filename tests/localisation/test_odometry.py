@@ -23,7 +23,7 @@ def measured(
     odometry: Odometry, motion: jax.Array, elapsed: jax.Array, bias: OdometryBias, keys: jax.Array
 ) -> jax.Array:
     """Return one measurement for each key."""
-    return jax.vmap(odometry.measure, (None, None, None, 0))(motion, elapsed, bias, keys)
+    return jax.vmap(odometry.measure, (None, None, None, 0))(motion, elapsed, bias, keys)[0]
 
 
 def spread(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ def test_errors_of_a_run_are_drawn_with_their_standard_deviations() -> None:
     assert np.abs(drawn.mean(axis=0)).max() < 5 * 0.05 / math.sqrt(5000)
     assert all(float(each) == 0.0 for each in odometry.draw(None))
     # Without noise a bias alone is left, and a filter takes it for noise.
-    found = odometry.measure(MOTION, jnp.asarray(2.0), BIAS, KEY)
+    found, _ = odometry.measure(MOTION, jnp.asarray(2.0), BIAS, KEY)
     np.testing.assert_allclose(found, [0.618, -0.824, -0.435], rtol=1e-5)
     yaw = 0.03**2 * 0.5 + 0.04**2 + 0.05**2 * 2.0
     covariance = odometry.covariance(MOTION, jnp.asarray(2.0))
@@ -72,7 +72,7 @@ def test_errors_of_a_run_are_drawn_with_their_standard_deviations() -> None:
 
 
 def test_a_robot_that_stands_still_measures_nothing_but_its_gyroscope() -> None:
-    still = NOISY.measure(jnp.zeros(3), jnp.asarray(2.0), BIAS, KEY)
+    still, _ = NOISY.measure(jnp.zeros(3), jnp.asarray(2.0), BIAS, KEY)
     np.testing.assert_allclose(still, [0.0, 0.0, 0.02], atol=1e-7)
 
 
@@ -85,7 +85,7 @@ def test_what_is_no_standard_deviation_is_refused(name: str, value: object) -> N
 
 def test_other_numbers_do_not_recompile(traced: Callable[..., int]) -> None:
     def measure(odometry: Odometry, key: jax.Array) -> jax.Array:
-        return odometry.measure(MOTION, jnp.asarray(1.0), odometry.draw(key), key)
+        return odometry.measure(MOTION, jnp.asarray(1.0), odometry.draw(key), key)[0]
 
     calls = [(Odometry(**{name: 0.1}), KEY) for name in NAMES]
     assert traced(measure, calls) == 1

@@ -210,7 +210,7 @@ def localise(settings: ParticleFilter, poses: jax.Array, is_carried: jax.Array, 
         pose, carried, key = given
         keys = jax.random.split(key, 4)
         motion = jnp.where(carried, 0.0, between(before, pose))
-        measured = WHEELS.measure(motion, jnp.ones(()), OdometryBias.none(), keys[0])
+        measured, _ = WHEELS.measure(motion, jnp.ones(()), OdometryBias.none(), keys[0])
         particles = settings.predict(particles, measured, jnp.ones(()), keys[1])
         scan = LIDAR.scan(WORLD, pose, key=keys[2])
         particles = settings.update(particles, scan.points(LIDAR), scan.is_return, field, keys[3])

@@ -126,7 +126,7 @@ def test_the_robot_maps_where_it_takes_itself_to_be() -> None:
 
 def test_the_drift_of_a_run_is_drawn_by_its_key() -> None:
     drawn = [
-        initial_loop_state(CONTROLLER, SCENARIO, jax.random.key(seed)).task.located.bias
+        initial_loop_state(CONTROLLER, SCENARIO, jax.random.key(seed)).task.located.errors
         for seed in (0, 0, 1)
     ]
     assert drawn[0].turn_per_metre == drawn[1].turn_per_metre != drawn[2].turn_per_metre

@@ -6,13 +6,16 @@ from typing import Any
 from jaxplore.belief.certainty import CertaintyField
 from jaxplore.dynamics.uncertain import UncertainRobot
 from jaxplore.localisation.closing import LoopCloser
+from jaxplore.localisation.inertial import InertialOdometry
 from jaxplore.localisation.localiser import Localiser
 from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.odometry_model import OdometryModel
 from jaxplore.localisation.particle_localiser import ParticleLocaliser
 from jaxplore.localisation.particles import ParticleFilter
 from jaxplore.sensing.beams import Beams
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings
+from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
@@ -35,12 +38,7 @@ def build_localisation(
     if given is None:
         return None
     is_planned = given.uncertainty_weight > 0.0
-    angles = ("turn_per_distance", "turn_noise")
-    # `arguments` returns angles in degrees, as settings have them.
-    odometry = Odometry(
-        **arguments(given, Odometry)
-        | {name: math.radians(getattr(given, f"{name}_degrees")) for name in angles}
-    )
+    odometry = _odometry(given, settings.robot.model)
     common: dict[str, Any] = {
         "certainty": CertaintyField(sensor, resolution) if is_planned else None,
         **arguments(given, Localisation),
@@ -68,6 +66,18 @@ def build_localisation(
     )
 
 
+def _odometry(given: LocalisationSettings, model: str) -> OdometryModel:
+    """Build the odometry of a robot with a model."""
+    if given.odometry_of(model) == "imu":
+        return InertialOdometry(**arguments(given, InertialOdometry))
+    angles = ("turn_per_distance", "turn_noise")
+    # `arguments` returns angles in degrees, as settings have them.
+    return Odometry(
+        **arguments(given, Odometry)
+        | {name: math.radians(getattr(given, f"{name}_degrees")) for name in angles}
+    )
+
+
 def uncertain_robot(scenario: ExplorationScenario, rate: float) -> UncertainRobot | None:
     """Return the robot with the variance of its position; None if plans do not know it.
 
@@ -78,5 +88,5 @@ def uncertain_robot(scenario: ExplorationScenario, rate: float) -> UncertainRobo
     known = scenario.localisation
     if known is None or known.certainty is None:
         return None
-    added = known.localiser.expected_odometry.distance_noise**2
+    added = known.localiser.expected_odometry.variance_per_metre
     return UncertainRobot(scenario.robot, known.certainty.blank(), added, rate)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _kinds
-from jaxplore._types import ArrayLike, ControlVector, Position, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Pose, Position, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.footprint import Footprint
 
@@ -134,6 +134,16 @@ class Augmented(Dynamics):
     def speed_under(self, state: StateVector, control: ControlVector) -> Scalar:
         """Return the physical part's forward speed [m/s] under its part of a control (nu,)."""
         return self.physical.speed_under(self.split_state(state)[0], self.split_control(control)[0])
+
+    def with_pose(
+        self,
+        state: StateVector,
+        pose: Pose,
+        velocity_error: Float[Array, "2"] | None = None,
+    ) -> StateVector:
+        """Return a state (nx,) with the physical part at another pose; see `Dynamics.with_pose`."""
+        physical, virtual = self.split_state(state)
+        return jnp.concatenate([self.physical.with_pose(physical, pose, velocity_error), virtual])
 
     def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
         """Return the state of a robot at rest at a pose, with the virtual state at zero."""

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
@@ -193,6 +194,28 @@ class Dynamics(eqx.Module):
             state,
             value,
         )
+
+    def with_pose(
+        self,
+        state: StateVector,
+        pose: Pose,
+        velocity_error: Float[Array, "2"] | None = None,
+    ) -> StateVector:
+        """Return a state (nx,) at another pose, with the velocity turned with the yaw.
+
+        The default sets the components named `x`, `y` and `yaw`, for a model whose speeds are in
+        its own frame. A model with a velocity in the world, or with another attitude, overrides it.
+
+        Args:
+            state: state (nx,) of the robot.
+            pose: the other pose (x, y, yaw) [m, m, rad].
+            velocity_error: error (2,) that is added to a velocity which the robot does not measure,
+                in the frame of its heading [m/s]; the default takes speeds as measured.
+        """
+        for name, value in zip(("x", "y", "yaw"), jnp.unstack(pose), strict=True):
+            if name in self.state_names:
+                state = self.with_component(state, name, value)
+        return state
 
     def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
         """Return the state of a robot at rest at a pose (x, y, yaw) [m, m, rad].

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector, Vector
+from jaxplore._types import ArrayLike, ControlVector, Pose, Scalar, StateVector, Vector
 from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import positive, radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics, as_state
@@ -201,6 +201,44 @@ class Quadrotor(ContinuousDynamics):
     def speed(self, state: StateVector) -> Scalar:
         """Return the horizontal speed [m/s]."""
         return length(self.component(state, "vx"), self.component(state, "vy"))
+
+    def with_pose(
+        self,
+        state: StateVector,
+        pose: Pose,
+        velocity_error: Float[Array, "2"] | None = None,
+    ) -> StateVector:
+        """Return a state (13,) turned about the vertical to another pose, at the same altitude.
+
+        Roll, pitch and body rates stay, and the velocity turns with the yaw. Where the yaw is not
+        finite, nothing turns: a robot without a pose still measures what it brakes by.
+
+        Args:
+            state: state (13,) of the robot.
+            pose: the other pose (x, y, yaw) [m, m, rad].
+            velocity_error: error (2,) of the horizontal velocity, in the frame of the heading
+                [m/s]; none when absent.
+        """
+        _, _, z, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz = state
+        x, y, yaw = jnp.unstack(pose)
+        heading = self.heading(state)
+        turn = jnp.where(jnp.isfinite(yaw), yaw - heading, 0.0)
+        sin, cos = sin_cos(turn)
+        north, east = cos * vx - sin * vy, sin * vx + cos * vy
+        if velocity_error is not None:
+            ahead, right = jnp.unstack(velocity_error)
+            across, along = sin_cos(heading + turn)
+            north = north + along * ahead - across * right
+            east = east + across * ahead + along * right
+        # The quaternion of the turn, times that of the attitude.
+        sin, cos = sin_cos(0.5 * turn)
+        attitude = (
+            cos * qw - sin * qz,
+            cos * qx - sin * qy,
+            cos * qy + sin * qx,
+            cos * qz + sin * qw,
+        )
+        return jnp.stack([x, y, z, north, east, vz, *attitude, wx, wy, wz])
 
     def at_pose(self, x: float, y: float, yaw: float, z: float = 0.0) -> StateVector:
         """Return the state of a level robot at rest at a pose (x, y, yaw, z) [m, m, rad, m]."""

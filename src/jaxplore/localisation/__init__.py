@@ -4,6 +4,8 @@ from jaxplore.localisation.closing import LoopCloser as LoopCloser
 from jaxplore.localisation.estimator import PoseEstimator as PoseEstimator
 from jaxplore.localisation.estimator import PoseState as PoseState
 from jaxplore.localisation.estimator import WayPoints as WayPoints
+from jaxplore.localisation.inertial import InertialErrors as InertialErrors
+from jaxplore.localisation.inertial import InertialOdometry as InertialOdometry
 from jaxplore.localisation.likelihood_field import LikelihoodField as LikelihoodField
 from jaxplore.localisation.localiser import Localiser as Localiser
 from jaxplore.localisation.localiser import LocaliserState as LocaliserState
@@ -11,6 +13,9 @@ from jaxplore.localisation.log_mapping import LogMap as LogMap
 from jaxplore.localisation.log_mapping import map_log as map_log
 from jaxplore.localisation.odometry import Odometry as Odometry
 from jaxplore.localisation.odometry import OdometryBias as OdometryBias
+from jaxplore.localisation.odometry_model import ErrorEstimate as ErrorEstimate
+from jaxplore.localisation.odometry_model import OdometryModel as OdometryModel
+from jaxplore.localisation.odometry_model import Reckoning as Reckoning
 from jaxplore.localisation.particle_localiser import ParticleLocaliser as ParticleLocaliser
 from jaxplore.localisation.particle_localiser import ParticleState as ParticleState
 from jaxplore.localisation.particle_localiser import StoredPoses as StoredPoses

@@ -8,7 +8,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from jaxplore._types import Count, Flag, Key, Pose, Scalar
-from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.odometry_model import ErrorEstimate, OdometryModel
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.beams import Beams, Scan
 
@@ -58,6 +58,10 @@ class PoseState(Protocol):
     def scans(self) -> WayPoints:
         """Poses along the way, at scans that were stored."""
 
+    @property
+    def errors(self) -> ErrorEstimate | None:
+        """What is known of the odometry's errors; None where nothing is estimated of them."""
+
 
 class PoseEstimator(eqx.Module):
     """Estimates the pose of a robot by its odometry and its scans.
@@ -73,7 +77,7 @@ class PoseEstimator(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def expected_odometry(self) -> Odometry:
+    def expected_odometry(self) -> OdometryModel:
         """Errors of the odometry that it expects."""
 
     @abc.abstractmethod

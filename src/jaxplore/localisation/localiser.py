@@ -9,9 +9,10 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Flag, Key, Pose, Scalar
-from jaxplore.geometry.motion import Matrix, between, compose, moved_covariance, rotation
+from jaxplore.geometry.motion import Matrix, between, moved_covariance, rotation
 from jaxplore.localisation.estimator import PoseEstimator
 from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.odometry_model import ErrorEstimate, OdometryModel, Reckoning
 from jaxplore.localisation.scan_matching import ScanMatcher
 from jaxplore.localisation.stored_scans import Closures, StoredScans
 from jaxplore.localisation.surface import EndPoints, SurfaceMap
@@ -39,6 +40,7 @@ class LocaliserState(NamedTuple):
         scans: scans along the way.
         closures: closed loops.
         share: share of the newest scan that lies on known surfaces.
+        errors: what is known of the odometry's errors; None where nothing is estimated of them.
     """
 
     pose: Pose
@@ -49,6 +51,7 @@ class LocaliserState(NamedTuple):
     scans: StoredScans
     closures: Closures
     share: Scalar
+    errors: ErrorEstimate | None
 
     @property
     def uncertainty(self) -> Scalar:
@@ -72,7 +75,7 @@ class Localiser(PoseEstimator):
     `jaxplore.localisation.closing`, and move the stored scans.
 
     Args:
-        odometry: errors of the odometry.
+        odometry: errors of the odometry; those of wheels, `Odometry`, when absent.
         matcher: matches scans; with the default numbers when absent.
         spacing: way after which a scan is stored [m].
         turn: turn after which a scan is stored [rad].
@@ -85,7 +88,7 @@ class Localiser(PoseEstimator):
 
     is_mapping: ClassVar[bool] = True
 
-    odometry: Odometry
+    odometry: OdometryModel
     matcher: ScanMatcher
     spacing: Scalar
     turn: Scalar
@@ -94,7 +97,7 @@ class Localiser(PoseEstimator):
 
     def __init__(
         self,
-        odometry: Odometry | None = None,
+        odometry: OdometryModel | None = None,
         *,
         matcher: ScanMatcher | None = None,
         spacing: ArrayLike = 0.25,
@@ -102,7 +105,7 @@ class Localiser(PoseEstimator):
         memory: ArrayLike = 15.0,
         capacity: int = 4096,
     ) -> None:
-        _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
+        _kinds.instance("odometry", odometry, OdometryModel, may_be_none=True)
         _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
         self.odometry = Odometry() if odometry is None else odometry
         self.matcher = ScanMatcher() if matcher is None else matcher
@@ -112,7 +115,7 @@ class Localiser(PoseEstimator):
         self.capacity = _checks.positive_int("capacity", capacity)
 
     @property
-    def expected_odometry(self) -> Odometry:
+    def expected_odometry(self) -> OdometryModel:
         """Errors of the odometry that it expects: `odometry`."""
         return self.odometry
 
@@ -153,6 +156,7 @@ class Localiser(PoseEstimator):
             StoredScans.none(self.capacity, sensors),
             Closures.none(MOST_CLOSURES),
             nothing,
+            self.odometry.estimate(),
         )
 
     def predicted(self, state: LocaliserState, motion: Pose, elapsed: Scalar) -> LocaliserState:
@@ -167,12 +171,8 @@ class Localiser(PoseEstimator):
             ValueError: something else than a state.
         """
         _kinds.instance("state", state, LocaliserState)
-        added = self.odometry.covariance(motion, elapsed)
-        return state._replace(
-            pose=compose(state.pose, motion),
-            covariance=moved_covariance(state.pose, motion, state.covariance, added),
-            way=state.way + jnp.hypot(motion[0], motion[1]),
-        )
+        known = Reckoning(state.pose, state.covariance, state.errors, state.way)
+        return state._replace(**self.odometry.predicted(known, motion, elapsed)._asdict())
 
     def corrected(
         self, state: LocaliserState, scans: Sequence[Scan], sensors: Sequence[Beams]
@@ -196,9 +196,13 @@ class Localiser(PoseEstimator):
         is_matched = match.share * number >= LEAST_MATCHED
         pose = jnp.where(is_matched, match.pose, state.pose)
         covariance = jnp.where(is_matched, match.covariance, state.covariance)
+        errors = state.errors
+        if errors is not None:
+            errors = errors.corrected(state.pose, state.covariance, pose, covariance)
         state = state._replace(
             pose=pose,
             covariance=covariance,
+            errors=errors,
             surface=state.surface.with_scan(pose, ends, state.way),
             share=match.share,
         )
@@ -219,7 +223,13 @@ class Localiser(PoseEstimator):
         moved = jnp.where(is_first, 0.0, motion)
         drift = moved_covariance(before, moved, state.drift, local)
         stored = state.scans.with_scan(is_due, state.pose, moved, local, state.way, scans)
+        errors = state.errors
+        if errors is not None:
+            # From here on the pose counts from this scan.
+            cross = jnp.where(is_due, 0.0, errors.cross)
+            errors = errors._replace(cross=cross)
         return state._replace(
+            errors=errors,
             scans=stored,
             covariance=jnp.where(is_due, floor(), state.covariance),
             drift=jnp.where(is_due & ~is_first, drift, state.drift),

@@ -116,7 +116,7 @@ def drifted_motions(
     keys = jax.random.split(of_noise, len(true))
     bias = odometry.draw(of_run)
     taken = jnp.asarray(elapsed, jnp.float32)
-    measured = jax.vmap(odometry.measure, (0, 0, None, 0))(
+    measured, _ = jax.vmap(odometry.measure, (0, 0, None, 0))(
         jnp.asarray(true, jnp.float32), taken, bias, keys
     )
     return measured.at[0].set(0.0), taken

@@ -2,13 +2,13 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, Key, Pose, Scalar
-from jaxplore.geometry.motion import Matrix
+from jaxplore.geometry.motion import Matrix, compose, moved_covariance
+from jaxplore.localisation.odometry_model import ErrorEstimate, OdometryModel, Reckoning
 
 
 class OdometryBias(NamedTuple):
@@ -32,8 +32,8 @@ class OdometryBias(NamedTuple):
         return cls(*(jnp.zeros(()) for _ in cls._fields))
 
 
-class Odometry(eqx.Module):
-    """The model of an odometry that measures how a robot moves, with errors.
+class Odometry(OdometryModel):
+    """The model of an odometry of wheels that measures how a robot moves, with errors.
 
     A motion (dx, dy, dyaw) in the frame of the robot, of the length s and within the time t, is
     measured as
@@ -96,6 +96,11 @@ class Odometry(eqx.Module):
         self.turn_per_metre = _checks.scalar("turn_per_metre", turn_per_metre, at_least=0.0)
         self.gyro = _checks.scalar("gyro", gyro, at_least=0.0)
 
+    @property
+    def variance_per_metre(self) -> Scalar:
+        """Variance of the position after a metre [m^2/m], without that of the scale."""
+        return self.distance_noise**2
+
     def draw(self, key: Key | None) -> OdometryBias:
         """Draw the errors that stay the same during a run.
 
@@ -108,22 +113,27 @@ class Odometry(eqx.Module):
         stds = jnp.stack([self.scale, self.turn_scale, self.turn_per_metre, self.gyro])
         return OdometryBias(*jnp.unstack(stds * normal))
 
-    def measure(self, increment: Pose, elapsed: Scalar, bias: OdometryBias, key: Key) -> Pose:
-        """Return a motion (dx, dy, dyaw) as it is measured.
+    def measure(
+        self, increment: Pose, elapsed: Scalar, errors: OdometryBias, key: Key
+    ) -> tuple[Pose, OdometryBias]:
+        """Return a motion (dx, dy, dyaw) as it is measured, and the errors of the run, the same.
 
         Args:
             increment: true motion in the frame of the robot [m, m, rad].
             elapsed: time that it took [s].
-            bias: errors of the run.
+            errors: errors of the run.
             key: random key of the noise.
         """
         length, turn = _sizes(increment)
         normal = jax.random.normal(key, (3,))
         stds = jnp.sqrt(jnp.stack([*self._variances(length, turn)]))
-        along = (1.0 + bias.scale) * increment[:2] + stds[0] * normal[:2]
-        yaw = (1.0 + bias.turn_scale) * increment[2] + stds[1] * normal[2]
-        yaw = yaw + bias.turn_per_metre * length + bias.gyro * elapsed
-        return jnp.append(along, yaw)
+        along = (1.0 + errors.scale) * increment[:2] + stds[0] * normal[:2]
+        yaw = (1.0 + errors.turn_scale) * increment[2] + stds[1] * normal[2]
+        yaw = yaw + errors.turn_per_metre * length + errors.gyro * elapsed
+        return jnp.append(along, yaw), errors
+
+    def velocity_error(self, errors: OdometryBias, known: ErrorEstimate | None) -> None:
+        """Return None: the robot measures its speed by its wheels; see `OdometryModel`."""
 
     def covariance(self, increment: Pose, elapsed: Scalar) -> Matrix:
         """Return the covariance (3, 3) of a measured motion, in the frame of the robot.
@@ -141,6 +151,25 @@ class Odometry(eqx.Module):
         yaw = yaw + self.turn_scale**2 * turn + self.turn_per_metre**2 * length
         yaw = yaw + self.gyro**2 * elapsed
         return jnp.diag(jnp.stack([position, position, yaw]))
+
+    def estimate(self) -> None:
+        """Return None: nothing is estimated of the errors; see `OdometryModel`."""
+
+    def predicted(self, known: Reckoning, motion: Pose, elapsed: Scalar) -> Reckoning:
+        """Return what is known after a motion; see `OdometryModel`.
+
+        Args:
+            known: what is known before it.
+            motion: measured motion (dx, dy, dyaw) in the frame of the robot [m, m, rad].
+            elapsed: time that it took [s].
+        """
+        added = self.covariance(motion, elapsed)
+        return Reckoning(
+            compose(known.pose, motion),
+            moved_covariance(known.pose, motion, known.covariance, added),
+            None,
+            known.way + jnp.hypot(motion[0], motion[1]),
+        )
 
     def _variances(self, length: Scalar, turn: Scalar) -> tuple[Scalar, Scalar]:
         """Return the variances of the noise of each coordinate [m^2] and of the yaw [rad^2]."""

@@ -10,10 +10,10 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Flag, Key, Pose, Scalar
-from jaxplore.geometry.motion import compose
+from jaxplore.geometry.motion import Matrix, compose, moved_covariance, rotation
 from jaxplore.localisation.estimator import PoseEstimator
 from jaxplore.localisation.likelihood_field import LikelihoodField
-from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.odometry_model import ErrorEstimate, OdometryModel, Reckoning
 from jaxplore.localisation.particles import ParticleFilter, Particles, PoseEstimate
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.beams import Beams, Scan
@@ -74,6 +74,9 @@ class ParticleState(NamedTuple):
         particles: the particles at the newest scan.
         found: the pose at the newest scan, by the heaviest cluster of particles.
         motion: motion since then by the odometry, in the frame of that pose [m, m, rad].
+        covariance: (3, 3) covariance of that motion, in that frame.
+        errors: what is known of the odometry's errors; None where nothing is estimated of them. Its
+            covariance with the pose is that with the motion.
         elapsed: time since then [s].
         way: length of the robot's way by its odometry [m].
         field: the known map.
@@ -85,6 +88,8 @@ class ParticleState(NamedTuple):
     particles: Particles
     found: PoseEstimate
     motion: Pose
+    covariance: Matrix
+    errors: ErrorEstimate | None
     elapsed: Scalar
     way: Scalar
     field: LikelihoodField
@@ -178,7 +183,7 @@ class ParticleLocaliser(PoseEstimator):
         self.capacity = _checks.positive_int("capacity", capacity)
 
     @property
-    def expected_odometry(self) -> Odometry:
+    def expected_odometry(self) -> OdometryModel:
         """Errors of the odometry that the filter expects."""
         return self.filter.odometry
 
@@ -215,6 +220,8 @@ class ParticleLocaliser(PoseEstimator):
             particles,
             self.filter.estimate(particles),
             jnp.zeros(3),
+            jnp.zeros((3, 3)),
+            self.expected_odometry.estimate(),
             nothing,
             nothing,
             field,
@@ -229,10 +236,14 @@ class ParticleLocaliser(PoseEstimator):
         Particles move at the next scan: the odometry's variances do not depend on the rate.
         """
         _kinds.instance("state", state, ParticleState)
+        known = Reckoning(state.motion, state.covariance, state.errors, state.way)
+        known = self.expected_odometry.predicted(known, motion, elapsed)
         return state._replace(
-            motion=compose(state.motion, motion),
+            motion=known.pose,
+            covariance=known.covariance,
+            errors=known.errors,
             elapsed=state.elapsed + elapsed,
-            way=state.way + jnp.hypot(motion[0], motion[1]),
+            way=known.way,
         )
 
     def corrected(
@@ -243,7 +254,11 @@ class ParticleLocaliser(PoseEstimator):
         _kinds.instances("scans", scans, Scan)
         _kinds.instances("sensors", sensors, Beams)
         keys = jax.random.split(jax.random.fold_in(state.key, state.number), 3)
-        particles = self.filter.predict(state.particles, state.motion, state.elapsed, keys[0])
+        # What is estimated of the odometry's errors tells how exact this motion is.
+        spread = None if state.errors is None else state.covariance
+        particles = self.filter.predict(
+            state.particles, state.motion, state.elapsed, keys[0], covariance=spread
+        )
         stds = jnp.stack([self.roughening_std, self.roughening_std, self.roughening_yaw_std])
         rough = stds * jax.random.normal(keys[1], particles.poses.shape)
         particles = particles._replace(poses=particles.poses + rough)
@@ -256,8 +271,31 @@ class ParticleLocaliser(PoseEstimator):
             particles=particles,
             found=found,
             motion=jnp.zeros(3),
+            covariance=jnp.zeros((3, 3)),
+            errors=_learned(state, found),
             elapsed=jnp.zeros(()),
             # A robot that does not know where it is claims no pose.
             scans=state.scans.with_pose(is_due & found.is_converged, found.pose, state.way),
             number=state.number + 1,
         )
+
+
+def _learned(state: ParticleState, found: PoseEstimate) -> ErrorEstimate | None:
+    """Return what a scan tells of the odometry's errors.
+
+    Args:
+        state: state before the scan.
+        found: pose at the scan.
+    """
+    errors, before = state.errors, state.found
+    if errors is None:
+        return None
+    spread = moved_covariance(before.pose, state.motion, before.covariance, state.covariance)
+    known = errors._replace(cross=rotation(before.pose[2]) @ errors.cross)
+    known = known.corrected(state.pose, spread, found.pose, found.covariance)
+    # Another place than before says nothing of the motion between them.
+    is_same = before.is_converged & found.is_converged
+    mean, covariance, _ = (
+        jnp.where(is_same, new, old) for new, old in zip(known, errors, strict=True)
+    )
+    return ErrorEstimate(mean, covariance, jnp.zeros_like(errors.cross))

@@ -14,6 +14,7 @@ from jaxplore._types import ArrayLike, Flag, Key, Pose, Rows, Scalar, Vector
 from jaxplore.geometry.motion import Matrix, compose, wrapped
 from jaxplore.localisation.likelihood_field import LikelihoodField, Points, Poses
 from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.odometry_model import OdometryModel
 from jaxplore.localisation.resampling import (
     Weights,
     effective_sample_size,
@@ -122,11 +123,11 @@ class ParticleFilter(eqx.Module):
         cluster_angle: greatest difference from its yaw [rad].
 
     Raises:
-        ValueError: something else than an `Odometry`, a number of particles or beams below 1, a
-            distance that is not positive, a share or a rate outside its bounds.
+        ValueError: something else than an `OdometryModel`, a number of particles or beams below 1,
+            a distance that is not positive, a share or a rate outside its bounds.
     """
 
-    odometry: Odometry
+    odometry: OdometryModel
     num_particles: int = eqx.field(static=True)
     num_beams: int = eqx.field(static=True)
     max_distance: float = eqx.field(static=True)
@@ -141,7 +142,7 @@ class ParticleFilter(eqx.Module):
 
     def __init__(
         self,
-        odometry: Odometry | None = None,
+        odometry: OdometryModel | None = None,
         num_particles: int = 2000,
         num_beams: int = 60,
         *,
@@ -155,7 +156,7 @@ class ParticleFilter(eqx.Module):
         cluster_radius: ArrayLike = 1.0,
         cluster_angle: ArrayLike = 0.5,
     ) -> None:
-        _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
+        _kinds.instance("odometry", odometry, OdometryModel, may_be_none=True)
         self.odometry = Odometry() if odometry is None else odometry
         self.num_particles = _checks.positive_int(
             "num_particles", num_particles, at_most=MOST_SAMPLES
@@ -220,7 +221,13 @@ class ParticleFilter(eqx.Module):
         return self._unseen(field.random_poses(self.num_particles, key))
 
     def predict(
-        self, particles: Particles, increment: Pose, elapsed: Scalar, key: Key
+        self,
+        particles: Particles,
+        increment: Pose,
+        elapsed: Scalar,
+        key: Key,
+        *,
+        covariance: Matrix | None = None,
     ) -> Particles:
         """Return the particles after a measured motion.
 
@@ -229,11 +236,14 @@ class ParticleFilter(eqx.Module):
             increment: measured motion (dx, dy, dyaw) in the frame of the robot [m, m, rad].
             elapsed: time that it took [s].
             key: random key of the noise.
+            covariance: covariance (3, 3) of the motion; that of the odometry when absent.
         """
         is_known = jnp.isfinite(increment).all() & jnp.isfinite(elapsed)
         increment = jnp.where(is_known, increment, 0.0)
         elapsed = jnp.where(is_known, elapsed, 0.0)
-        stds = jnp.sqrt(jnp.diagonal(self.odometry.covariance(increment, elapsed)))
+        if covariance is None:
+            covariance = self.odometry.covariance(increment, elapsed)
+        stds = jnp.sqrt(jnp.maximum(jnp.diagonal(covariance), 0.0))
         normal = jax.random.normal(key, particles.poses.shape)
         poses = jax.vmap(compose)(particles.poses, increment + stds * normal)
         # Single precision would lose digits of a yaw that grows with each turn.

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from jaxplore.geometry.track import race_track
+from jaxplore.localisation.inertial import InertialOdometry
+from jaxplore.localisation.odometry import Odometry
 from jaxplore.maps.files.path_file import read_path
 from jaxplore.maps.generators.office import office
 from jaxplore.maps.ground import Ground
@@ -156,6 +158,16 @@ _MATCHING, _FILTERING = (
     )
     for method in ("matching", "particles")
 )
+_WHEELS, _INERTIAL = (
+    Reader(
+        f"runs whose localisation has {words}",
+        lambda settings, kind=kind: (  # type: ignore[misc]
+            settings.localisation is not None
+            and settings.localisation.odometry_of(settings.robot.model) == kind
+        ),
+    )
+    for kind, words in (("wheels", "wheels"), ("imu", "an IMU"))
+)
 _CLOSING = Reader(
     "runs with a localisation that closes loops",
     lambda settings: _MATCHING.reads(settings) and settings.localisation.loops,
@@ -283,6 +295,8 @@ _BY_OWNER: dict[str, dict[Owner, Reader]] = {
             lambda settings: _is_world(settings) or _has_height_map(settings),
         ),
         InverseSensorModel: _LOG_ODDS,
+        Odometry: _WHEELS,
+        InertialOdometry: _INERTIAL,
         # A rule-based explorer drives to its target as `explorer` does.
         # So does one by a rule of the user's.
         explorer: Reader(

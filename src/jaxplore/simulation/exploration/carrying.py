@@ -12,7 +12,6 @@ from jaxplore.maps.datum import Datum
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import ExplorationRecord
-from jaxplore.simulation.exploration.located import observed_state
 from jaxplore.simulation.faults import Faults
 
 _CARRYING = 2**31 + 5
@@ -84,5 +83,5 @@ def carried(
         pose: pose at which it is put down.
         is_carried: whether it is.
     """
-    there = observed_state(robot, rest, pose)
+    there = robot.with_pose(rest, pose)
     return record._replace(state=jnp.where(is_carried, there, record.state), is_carried=is_carried)

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.estimator import PoseEstimator, PoseState
 from jaxplore.localisation.localiser import Localiser, LocaliserState
-from jaxplore.localisation.odometry import Odometry, OdometryBias
+from jaxplore.localisation.odometry_model import OdometryModel
 from jaxplore.localisation.thinning import is_nearly_full, thinned
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import LocalisationData
@@ -38,7 +38,7 @@ class Located(NamedTuple):
 
     Args:
         known: what the robot knows.
-        bias: errors of the odometry in this run.
+        errors: errors of the odometry in this run.
         key: random key of its noise.
         true_poses: (K, 3) true poses of the stored scans.
         reckoned: pose by the odometry alone.
@@ -49,7 +49,7 @@ class Located(NamedTuple):
     """
 
     known: PoseState
-    bias: OdometryBias
+    errors: Any
     key: Key
     true_poses: Float[Array, "K 3"]
     reckoned: Pose
@@ -95,7 +95,7 @@ class Localisation(eqx.Module):
             uncertainty beside a localiser that makes no map.
     """
 
-    odometry: Odometry
+    odometry: OdometryModel
     localiser: PoseEstimator
     closer: LoopCloser | None
     most_uncertainty: Scalar | None
@@ -104,7 +104,7 @@ class Localisation(eqx.Module):
 
     def __init__(
         self,
-        odometry: Odometry | None = None,
+        odometry: OdometryModel | None = None,
         localiser: PoseEstimator | None = None,
         closer: LoopCloser | None = None,
         *,
@@ -112,7 +112,7 @@ class Localisation(eqx.Module):
         most_uncertainty: ArrayLike | None = None,
         certainty: CertaintyField | None = None,
     ) -> None:
-        _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
+        _kinds.instance("odometry", odometry, OdometryModel, may_be_none=True)
         _kinds.instance("localiser", localiser, PoseEstimator, may_be_none=True)
         _kinds.instance("closer", closer, LoopCloser, may_be_none=True)
         if localiser is None:
@@ -157,6 +157,20 @@ class Localisation(eqx.Module):
             None if self.most_uncertainty is None else jnp.zeros(known.scans.capacity),
         )
 
+    def observed(self, located: Located, robot: Dynamics, state: StateVector) -> StateVector:
+        """Return the state (nx,) that the robot takes to be its own; the pose is NaN while it does
+        not know it.
+
+        Args:
+            located: state of the localisation.
+            robot: model of the robot.
+            state: true state (nx,). What is neither pose nor velocity is measured as it is.
+        """
+        known = located.known
+        pose = jnp.where(known.is_known, known.pose, jnp.nan)
+        error = self.odometry.velocity_error(located.errors, known.errors)
+        return robot.with_pose(state, pose, error)
+
     def moved(
         self, located: Located, before: Pose, after: Pose, step: Count, period: Scalar
     ) -> Located:
@@ -170,8 +184,10 @@ class Localisation(eqx.Module):
             period: control period [s].
         """
         key = jax.random.fold_in(located.key, step)
-        motion = self.odometry.measure(between(before, after), period, located.bias, key)
+        true = between(before, after)
+        motion, errors = self.odometry.measure(true, period, located.errors, key)
         return located._replace(
+            errors=errors,
             known=self.localiser.predicted(located.known, motion, period),
             reckoned=compose(located.reckoned, motion),
         )
@@ -316,14 +332,6 @@ def places_to_revisit(
     return worth.reshape(rows, columns)
 
 
-def observed_state(robot: Dynamics, state: StateVector, pose: Pose) -> StateVector:
-    """Return a state (nx,) with another pose; speeds and the like are measured as they are."""
-    for name, value in zip(("x", "y", "yaw"), jnp.unstack(pose), strict=True):
-        if name in robot.state_names:
-            state = robot.with_component(state, name, value)
-    return state
-
-
 def corrected_state(robot: Dynamics, state: StateVector, before: Pose, after: Pose) -> StateVector:
     """Return a state (nx,) moved by the correction of the robot's pose.
 
@@ -333,7 +341,7 @@ def corrected_state(robot: Dynamics, state: StateVector, before: Pose, after: Po
         before: pose of the robot before the correction.
         after: its pose after it.
     """
-    return observed_state(robot, state, compose(after, between(before, robot.pose(state))))
+    return robot.with_pose(state, compose(after, between(before, robot.pose(state))))
 
 
 def _mapped(located: Located) -> LocaliserState:

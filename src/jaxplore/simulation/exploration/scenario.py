@@ -61,7 +61,6 @@ from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
 from jaxplore.simulation.exploration.located import (
     Localisation,
     corrected_state,
-    observed_state,
 )
 from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
@@ -346,13 +345,10 @@ class ExplorationScenario(Scenario):
         return state, state.belief
 
     def measured(self, state: ExplorationState) -> StateVector:
-        """Return the state (nx,) with the pose that the robot takes to be its own; NaN while it
-        does not know it."""
-        if state.located is None:
+        """Return the state (nx,) that the robot takes to be its own; see `Localisation`."""
+        if self.localisation is None or state.located is None:
             return state.robot
-        known = state.located.known
-        pose = jnp.where(known.is_known, known.pose, jnp.nan)
-        return observed_state(self.robot, state.robot, pose)
+        return self.localisation.observed(state.located, self.robot, state.robot)
 
     @property
     def steps_per_revision(self) -> int | None:
