@@ -31,9 +31,6 @@ PLACE = 4.0
 """Way before and behind an old scan whose scans make up the place where it was taken [m]."""
 MOST_PLACES = 64
 """Number of old places whose uncertainty is computed at a time."""
-MOST_STDS = 6.0
-"""Difference of a match from the pose graph, in standard deviations, beyond which it is no loop:
-99.9 % of right ones are within 4, and covariances of matches are up to 1.35 times too small."""
 CLEAR = 0.3
 """Distance before what a beam met from which on a point contradicts the beam [m]."""
 
@@ -53,8 +50,8 @@ class LoopCloser(eqx.Module):
     For a stored scan an old place is looked for: the nearest older scan within `reach`, more than
     the memory of the localiser ago by way. The scan is matched to the surfaces of the scans around
     it. If at least `least_share` of its points lie on them, at most `most_contradicted` of the
-    points of the old scan and of this one lie where a beam of the other passed, and the pose graph
-    does not contradict it (`MOST_STDS`), the loop is closed.
+    points of the old scan and of this one lie where a beam of the other passed, and the match is
+    within `most_stds` of what the pose graph says, the loop is closed.
     If the closed loops contradict the poses by more than `tolerance`, the pose graph is optimised,
     and the surfaces are made anew.
 
@@ -64,6 +61,8 @@ class LoopCloser(eqx.Module):
         least_share: least share of a scan's points on the surfaces of the old place.
         most_contradicted: greatest share of points in the free space of the other scan.
         tolerance: greatest error of a closed loop that is left as it is [m].
+        most_stds: greatest difference of a match from the pose graph, in standard deviations; 99.9
+            % of right matches are within 4, and covariances are up to 1.35 times too small.
         matcher: matches a scan to an old place; it searches 1 m and 0.25 rad by default.
 
     Raises:
@@ -75,6 +74,7 @@ class LoopCloser(eqx.Module):
     least_share: Scalar
     most_contradicted: Scalar
     tolerance: Scalar
+    most_stds: Scalar
     matcher: ScanMatcher
 
     def __init__(
@@ -85,6 +85,7 @@ class LoopCloser(eqx.Module):
         least_share: ArrayLike = 0.5,
         most_contradicted: ArrayLike = 0.1,
         tolerance: ArrayLike = 0.03,
+        most_stds: ArrayLike = 6.0,
         matcher: ScanMatcher | None = None,
     ) -> None:
         self.reach = _checks.scalar("reach", reach, above=0.0)
@@ -94,6 +95,7 @@ class LoopCloser(eqx.Module):
             "most_contradicted", most_contradicted, above=0.0, at_most=1.0
         )
         self.tolerance = _checks.scalar("tolerance", tolerance, above=0.0)
+        self.most_stds = _checks.scalar("most_stds", most_stds, above=0.0)
         _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
         if matcher is None:
             matcher = ScanMatcher(steps=8, spacing=0.125, turn_spacing=0.03, iterations=10)
@@ -155,9 +157,7 @@ class LoopCloser(eqx.Module):
                 continue
             if float(found.contradicted) > float(self.most_contradicted):
                 continue
-            if not _is_likely(
-                state._replace(closures=closures), older, newer, found, self.tolerance
-            ):
+            if not self._is_likely(state._replace(closures=closures), older, newer, found):
                 continue
             closures = closures.with_loop(
                 jnp.asarray(older, jnp.int32),
@@ -171,6 +171,27 @@ class LoopCloser(eqx.Module):
             state = state._replace(drift=turned @ found.covariance @ turned.T)
         closures = closures._replace(examined=jnp.asarray(number, jnp.int32))
         return state._replace(closures=closures)
+
+    def _is_likely(self, state: LocaliserState, older: int, newer: int, found: _Found) -> bool:
+        """Check whether a match agrees with the motion by the pose graph (chi-square test).
+
+        Behind a wall, or along a row of shelves, another place looks the same. Within the tolerance
+        the graph is not optimised, so that much of a difference is expected.
+
+        Args:
+            state: state with the loops that were closed before.
+            older: index of the old scan.
+            newer: index of the scan that was matched to its place.
+            found: the match.
+        """
+        expected = motion_covariances(_graph(state), [older], newer)[0]
+        expected = expected + np.asarray(found.covariance, float)
+        expected[:2, :2] += float(self.tolerance) ** 2 * np.eye(2)
+        # In NumPy: JAX would compile the indexing anew for every pair of scans.
+        poses = np.asarray(state.scans.poses, float)
+        error = _motions(poses[[older]], poses[[newer]])[0] - np.asarray(found.motion, float)
+        error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
+        return bool(error @ np.linalg.solve(expected, error) <= float(self.most_stds) ** 2)
 
     def settled(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
@@ -230,30 +251,6 @@ class LoopCloser(eqx.Module):
         return jnp.asarray(spreads)
 
 
-def _is_likely(
-    state: LocaliserState, older: int, newer: int, found: _Found, tolerance: Scalar
-) -> bool:
-    """Check whether a match agrees with what the pose graph says of the motion (chi-square test).
-
-    Behind a wall, or along a row of shelves, another place looks the same. Within the tolerance the
-    graph is not optimised, so that much of a difference is expected.
-
-    Args:
-        state: state with the loops that were closed before.
-        older: index of the old scan.
-        newer: index of the scan that was matched to its place.
-        found: the match.
-        tolerance: error of a closed loop that is left as it is [m].
-    """
-    expected = motion_covariances(_graph(state), [older], newer)[0]
-    expected = expected + np.asarray(found.covariance, float)
-    expected[:2, :2] += float(tolerance) ** 2 * np.eye(2)
-    first, last = (jnp.asarray(state.scans.poses[index]) for index in (older, newer))
-    error = np.asarray(between(first, last), float) - np.asarray(found.motion, float)
-    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
-    return bool(error @ np.linalg.solve(expected, error) <= MOST_STDS**2)
-
-
 def _graph(state: LocaliserState) -> Graph:
     """Return the pose graph of the stored scans and the closed loops."""
     scans, closures = state.scans, state.closures
@@ -276,11 +273,15 @@ def _check(localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
 
 def _greatest_error(poses: np.ndarray, pairs: np.ndarray, wanted: np.ndarray) -> float:
     """Return the greatest distance between measured and present motions of closed loops [m]."""
-    older, newer = poses[pairs[:, 0]], poses[pairs[:, 1]]
+    now = _motions(poses[pairs[:, 0]], poses[pairs[:, 1]])
+    return float(np.hypot(*(now - wanted)[:, :2].T).max())
+
+
+def _motions(older: np.ndarray, newer: np.ndarray) -> np.ndarray:
+    """Return the motions (M, 3) from poses to others, in the frames of the first ones."""
     cos, sin = np.cos(older[:, 2]), np.sin(older[:, 2])
-    dx, dy = (newer - older)[:, :2].T
-    now = np.stack([cos * dx + sin * dy, cos * dy - sin * dx], axis=1)
-    return float(np.hypot(*(now - wanted[:, :2]).T).max())
+    dx, dy, turn = (newer - older).T
+    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, turn], axis=1)
 
 
 @eqx.filter_jit

@@ -179,9 +179,12 @@ class MapLocaliser:
         poses[1] = poses[0] + np.array([0.2, 0.0, 0.0])
         state = state._replace(scans=state.scans._replace(poses=on_device(poses)))
         eager = eqx.tree_at(
-            lambda each: (each.reach, each.least_share, each.most_contradicted, each.tolerance),
+            lambda each: (
+                *(each.reach, each.least_share, each.most_contradicted),
+                *(each.tolerance, each.most_stds),
+            ),
             self._closer,
-            tuple(on_device(np.array(each, np.float32)) for each in (1.0, 0.0, 1.0, 1e-3)),
+            tuple(on_device(np.array(each, np.float32)) for each in (1.0, 0.0, 1.0, 1e-3, 1e9)),
         )
         found, made = self._revised(eager, state, perception, belief)
         jax.block_until_ready((made, thinned(found)))  # type: ignore[no-untyped-call]
