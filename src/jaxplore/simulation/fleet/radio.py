@@ -237,7 +237,7 @@ def exchange(
 
     def merge(
         one: ExplorationScenario, belief: Belief, pose: Pose, row: Count
-    ) -> tuple[GridValues, GridValues, MapSums, GridValues | None]:
+    ) -> tuple[GridValues, GridValues, MapSums, Float[Array, "rows columns"] | None]:
         perception, reachable = one.perception, one.map_arrays.reachable
         prior, before = one.map_arrays.prior.probability, belief.grid.probability
         probability = merged_map(
