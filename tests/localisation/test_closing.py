@@ -206,13 +206,14 @@ def test_a_match_that_the_pose_graph_contradicts_closes_no_loop(around: Any) -> 
     poses = np.asarray(state.scans.poses) + is_late * np.array([0.35, 0.35, 0.0])
     state = state._replace(scans=state.scans._replace(poses=jnp.asarray(poses, jnp.float32)))
     found = {}
-    for most in (6.0, 1e9):
+    default = float(CLOSER.most_stds)
+    for most in (default, 1e9):
         closer = eqx.tree_at(lambda each: each.most_stds, CLOSER, jnp.asarray(most))
         closures = closer.examined(LOCALISER, state, SENSORS).closures
         newer = np.asarray(closures.pairs)[: int(closures.number), 1]
         found[most] = int(is_late[newer].sum())
     assert found[1e9] >= 1
-    assert found[6.0] == 0
+    assert found[default] == 0
 
 
 def test_old_places_nearby_say_how_much_a_loop_would_tell(around: Any) -> None:

@@ -61,8 +61,9 @@ class LoopCloser(eqx.Module):
         least_share: least share of a scan's points on the surfaces of the old place.
         most_contradicted: greatest share of points in the free space of the other scan.
         tolerance: greatest error of a closed loop that is left as it is [m].
-        most_stds: greatest difference of a match from the pose graph, in standard deviations; 99.9
-            % of right matches are within 4, and covariances are up to 1.35 times too small.
+        most_stds: greatest difference of a match from the pose graph, in standard deviations. Right
+            matches of dense scans are within 2; between sparse ones covariances are several times
+            too small.
         matcher: matches a scan to an old place; it searches 1 m and 0.25 rad by default.
 
     Raises:
@@ -85,7 +86,7 @@ class LoopCloser(eqx.Module):
         least_share: ArrayLike = 0.5,
         most_contradicted: ArrayLike = 0.1,
         tolerance: ArrayLike = 0.03,
-        most_stds: ArrayLike = 6.0,
+        most_stds: ArrayLike = 8.0,
         matcher: ScanMatcher | None = None,
     ) -> None:
         self.reach = _checks.scalar("reach", reach, above=0.0)
