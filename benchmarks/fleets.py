@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.setting import MAPS, OFFICE
+from benchmarks.setting import available_maps
 from benchmarks.tables import table
 from benchmarks.timing import TimedLoop
 from jaxplore.build.tasks import build, make_settings
@@ -44,12 +44,6 @@ def fleet(path: str, robots: int, coordination: str, seed: int, **changes: Any) 
     return build(make_settings(entries))
 
 
-def available_maps() -> dict[str, str]:
-    """Return the real maps where they are, the generated office otherwise."""
-    found = {name: str(MAPS / path) for name, path in SITES.items() if (MAPS / path).exists()}
-    return found or {OFFICE.name: OFFICE.path}
-
-
 def measure(
     seeds: int,
     maps: Sequence[str] | None = None,
@@ -67,7 +61,7 @@ def measure(
         changes: further settings of the section `fleet`.
     """
     rows = []
-    for name, path in available_maps().items():
+    for name, path in available_maps(SITES).items():
         if maps is not None and name not in maps:
             continue
         for robots in sizes:
@@ -150,7 +144,7 @@ def measure_step(robots: int = 4) -> dict[str, Any]:
     Args:
         robots: number of robots.
     """
-    path = next(iter(available_maps().values()))
+    path = next(iter(available_maps(SITES).values()))
     loops = []
     for number in (1, robots):
         controller, scenario, _, key = fleet(path, number, "claims", 0)
@@ -191,7 +185,9 @@ def _choice() -> _Choice:
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.fleets", description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, help="runs of each kind [default: 20]")
-    parser.add_argument("--maps", nargs="*", choices=list(available_maps()), help="[default: all]")
+    parser.add_argument(
+        "--maps", nargs="*", choices=list(available_maps(SITES)), help="[default: all]"
+    )
     parser.add_argument("--sizes", nargs="*", type=int, default=list(SIZES))
     parser.add_argument("--coordinations", nargs="*", default=list(COORDINATIONS))
     parser.add_argument("--out", type=Path, help="JSON file of all rows and the summary")

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.setting import MAPS, OFFICE
+from benchmarks.setting import available_maps
 from benchmarks.tables import table
 from benchmarks.timing import TimedLoop, timed
 from jaxplore.build.tasks import build, make_settings
@@ -36,12 +36,6 @@ LIMIT = 1500.0
 """Simulated time after which a run ends [s]."""
 
 
-def available_maps() -> dict[str, str]:
-    """Return the real maps where they are, the generated office otherwise."""
-    found = {name: str(MAPS / path) for name, path in SITES.items() if (MAPS / path).exists()}
-    return found or {OFFICE.name: OFFICE.path}
-
-
 def exploration(path: str, seed: int, **changes: Any) -> Experiment:
     """Return an exploration by a robot that does not know its pose.
 
@@ -64,7 +58,7 @@ def measure_times(runs: int = 300) -> list[dict[str, Any]]:
     Args:
         runs: number of timed calls.
     """
-    path = next(iter(available_maps().values()))
+    path = next(iter(available_maps(SITES).values()))
     controller, scenario, _, key = exploration(path, 0)
     assert isinstance(scenario, ExplorationScenario)
     assert scenario.localisation is not None
@@ -134,7 +128,7 @@ def measure_runs(
         changes: further settings of the section `localisation`.
     """
     rows = []
-    for name, path in available_maps().items():
+    for name, path in available_maps(SITES).items():
         if maps is not None and name not in maps:
             continue
         for seed in seeds:
@@ -171,7 +165,9 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.localisation", description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="*", default=list(range(5)))
-    parser.add_argument("--maps", nargs="*", choices=list(available_maps()), help="[default: all]")
+    parser.add_argument(
+        "--maps", nargs="*", choices=list(available_maps(SITES)), help="[default: all]"
+    )
     parser.add_argument("--most-uncertainty", type=float, help="go back beyond this [m]")
     parser.add_argument("--uncertainty-weight", type=float, help="pay for uncertainty")
     parser.add_argument("--times", action="store_true", help="only the time of the parts")
@@ -181,8 +177,8 @@ def main() -> None:
         rows = measure_times()
         console.print(table("Parts of a localisation, scans of 360 beams", rows))
     else:
-        names = ("most_uncertainty", "uncertainty_weight")
-        changes = {name: getattr(choice, name) for name in names}
+        weights = ("most_uncertainty", "uncertainty_weight")
+        changes = {name: getattr(choice, name) for name in weights}
         changes = {name: value for name, value in changes.items() if value is not None}
         rows = measure_runs(choice.seeds, choice.maps, **changes)
         console.print(table("Closed loops without a known pose", rows))

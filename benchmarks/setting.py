@@ -1,6 +1,7 @@
 """The problem that the benchmarks run: a 0.4 m robot at 1 m/s with a 360-beam 5 m lidar."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,3 +40,13 @@ def experiment(site: Site, seed: int = 0, **changes: object) -> Experiment:
     path = site.path if site is OFFICE else str(MAPS / site.path)
     entries = {"map": path, "start": site.start, "seed": seed, "time_limit": 400.0, **changes}
     return build(make_settings(entries))
+
+
+def available_maps(files: Mapping[str, str]) -> dict[str, str]:
+    """Return the real maps where they are, the generated office otherwise.
+
+    Args:
+        files: files of maps in the folder of maps, by name.
+    """
+    found = {name: str(MAPS / path) for name, path in files.items() if (MAPS / path).exists()}
+    return found or {OFFICE.name: OFFICE.path}

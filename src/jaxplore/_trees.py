@@ -1,7 +1,10 @@
 """Combine pytrees."""
 
+import copy
 from collections.abc import Sequence
+from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -35,3 +38,18 @@ class HostOnly[T]:
 
     def __repr__(self) -> str:
         return repr(self.value)
+
+
+def with_static[T: eqx.Module](module: T, name: str, value: Any) -> T:
+    """Return a module with another value of a field without leaves.
+
+    Modules are frozen, and `eqx.tree_at` sets leaves only.
+
+    Args:
+        module: the module.
+        name: name of the field.
+        value: the other value.
+    """
+    same = copy.copy(module)
+    object.__setattr__(same, name, value)
+    return same

@@ -1,6 +1,5 @@
 """Update the belief: the map from scans, and the fields that are derived from the map."""
 
-import copy
 import dataclasses
 import functools
 import math
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DIRECTIONS
+from jaxplore._trees import with_static
 from jaxplore._types import ArrayLike, Pose, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.anomalies import AnomalyTest
@@ -198,10 +198,7 @@ class Perception(BeliefFields):
         The maps of a batch change in different places, and each iteration of a loop over these
         places would copy the fields of all maps. The beliefs are equal.
         """
-        # Modules are frozen, and `eqx.tree_at` sets leaves only; this field is static.
-        same = copy.copy(self)
-        object.__setattr__(same, "is_batched", True)
-        return same
+        return with_static(self, "is_batched", True)
 
     def init(self, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief before the first scan, with the cells under the robot free.

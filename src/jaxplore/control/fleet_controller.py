@@ -1,6 +1,5 @@
 """One controller for all robots of a fleet, each of which plans for itself."""
 
-import copy
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,6 +10,7 @@ from jaxtyping import Array, Int
 
 from jaxplore import _kinds
 from jaxplore._alike import Alike
+from jaxplore._trees import with_static
 from jaxplore._types import ArrayLike, ControlVector, Key, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.fleet_share import Share, checked_share
@@ -95,10 +95,7 @@ class FleetController(Controller):
             ValueError: controllers that are not all equal, or one alone.
         """
         checked_share(share, self.own.kinds, "controllers")
-        same = copy.copy(self)
-        # Modules are frozen, and this part has no leaf that `eqx.tree_at` could set.
-        object.__setattr__(same, "share", share)
-        return same
+        return with_static(self, "share", share)
 
     @property
     def controllers(self) -> tuple[Controller, ...]:

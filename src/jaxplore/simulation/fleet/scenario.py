@@ -1,6 +1,5 @@
 """The exploration of an unknown world by a fleet of robots."""
 
-import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxplore import _checks, _kinds
 from jaxplore._alike import Alike
 from jaxplore._describe import describe_fields
-from jaxplore._trees import HostOnly
+from jaxplore._trees import HostOnly, with_static
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Rows, Scalar, StateVector
 from jaxplore._xla import on_device
 from jaxplore.control.base import Controller, Info
@@ -163,10 +162,7 @@ class Fleet(Scenario):
             ValueError: robots that are not all equal, or one alone.
         """
         checked_share(share, self.explorations.kinds, "robots")
-        same = copy.copy(self)
-        # Modules are frozen, and this part has no leaf that `eqx.tree_at` could set.
-        object.__setattr__(same, "share", share)
-        return same
+        return with_static(self, "share", share)
 
     @property
     def steps_per_measurement(self) -> int:
