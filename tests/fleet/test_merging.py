@@ -25,7 +25,7 @@ def meet(grids, merged, heard, links, step):
     log_odds = heard.log_odds.at[every, every].add(own)
     version = heard.version.at[every, every].set(step)
     source = newest(version, links)
-    received, is_news, _ = taken(log_odds, source)
+    received, is_news, _ = taken(log_odds, source, version)
     is_new = is_news | (links.any(axis=1)[:, None, None] & (own != 0.0))
     after = jnp.stack(
         [merged_map(MODEL, PRIOR, received[i], grids[i], is_new[i]) for i in range(NUMBER)]
@@ -85,16 +85,26 @@ def test_news_are_passed_on_and_old_ones_are_not_taken() -> None:
     np.testing.assert_array_equal(source, [[0, 1, 1], [0, 1, 1], [2, 2, 2]])
 
 
-def test_what_is_taken_is_that_of_the_source_and_news_are_what_differs() -> None:
-    """Against NumPy, with random sources, most of them the robot itself."""
+def test_what_is_taken_is_that_of_the_source_before_and_news_are_what_differs() -> None:
+    """Against NumPy, with random versions and links: many robots take from one that takes itself
+    from another."""
     rng = np.random.default_rng(4)
-    values = rng.choice([0.0, 1.0, 2.0], (4, 4, 3, 5)).astype(np.float32)
-    source = np.where(rng.uniform(size=(4, 4)) < 0.6, np.arange(4)[:, None], rng.integers(0, 4))
-    found = jax.jit(taken)(jnp.asarray(values), jnp.asarray(source, jnp.int32))
-    expected = values[source, np.arange(4)]
-    np.testing.assert_array_equal(found.values, expected)
-    np.testing.assert_array_equal(found.is_news, (expected != values).any(axis=1))
-    assert float(found.number) == (expected != values).sum()
+    every, take = np.arange(6), jax.jit(taken)
+    chains = 0
+    for _ in range(20):
+        values = rng.choice([0.0, 1.0, 2.0], (6, 6, 3, 5)).astype(np.float32)
+        version = rng.integers(NEVER, 12, (6, 6)).astype(np.int32)
+        version[every, every] = 12
+        links = np.triu(rng.uniform(size=(6, 6)) < 0.5, 1)
+        source = np.asarray(newest(jnp.asarray(version), jnp.asarray(links | links.T)))
+        is_taken = source != every[:, None]
+        chains += (is_taken & is_taken[source, every]).sum()
+        found = take(jnp.asarray(values), jnp.asarray(source), jnp.asarray(version))
+        expected = values[source, every]
+        np.testing.assert_array_equal(found.values, expected)
+        np.testing.assert_array_equal(found.is_news, (expected != values).any(axis=1))
+        assert float(found.number) == (expected != values).sum()
+    assert chains > 20
 
 
 def test_the_clamp_bounds_the_sum_of_all() -> None:

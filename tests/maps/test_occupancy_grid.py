@@ -52,6 +52,15 @@ def test_world_and_cell_are_inverse(row: int, column: int) -> None:
     assert np.array_equal(GRID.frame.to_cell(GRID.frame.cell_centre(cell)), cell)
 
 
+@given(st.floats(-4, 6, width=32), st.floats(-6, 4, width=32))
+def test_distances_are_those_to_the_cell_centres(x: float, y: float) -> None:
+    row, column = to_grid(x, y)
+    rows, columns = np.mgrid[:7, :11] + 0.5
+    expected = 0.25 * np.hypot(rows - row, columns - column)
+    found = GRID.frame.distances(jnp.asarray([x, y], jnp.float32), (7, 11))
+    np.testing.assert_allclose(found, expected, atol=1e-5, rtol=1e-5)
+
+
 def test_interpolation_is_exact_at_cell_centres() -> None:
     cells = jnp.stack(jnp.mgrid[:7, :11], axis=-1).reshape(-1, 2)
     found = jax.vmap(GRID.interpolate)(GRID.frame.cell_centre(cells))

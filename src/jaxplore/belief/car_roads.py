@@ -207,12 +207,9 @@ class CarRoadmap(Roadmap):
         A turn counts as the arc that the car drives meanwhile. All other poses are infinite.
         """
         frame, spacing = self.frame, self.frame.resolution
-        rows, columns = self.is_open.shape
-        centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
-        offset = centres - pose[:2]
         turn = jnp.asarray(HEADINGS, jnp.float32) - (pose[2] - frame.origin[2])
         turn = jnp.abs(jnp.mod(turn + math.pi, math.tau) - math.pi)
-        away = jnp.sqrt((offset * offset).sum(axis=-1))
+        away = frame.distances(pose[:2], self.is_open.shape)
         cost = away + self.radius * spacing * turn[:, None, None]
         cost = jnp.where(self.is_open_at, cost, jnp.inf)
         return nearest_open(cost, jnp.where(self.is_open, away, jnp.inf), spacing, self.corners)

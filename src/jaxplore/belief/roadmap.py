@@ -101,10 +101,8 @@ class Roadmap(eqx.Module):
         """Return the mask of the passable node nearest to a point, if it is in its block or beside
         it."""
         passable = self.is_open if self.is_narrow is None else self.is_open | self.is_narrow
-        rows, columns = passable.shape
-        centres = self.frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
-        offset = centres - point
-        distance = jnp.where(passable, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
+        distance = self.frame.distances(point, passable.shape)
+        distance = jnp.where(passable, distance, jnp.inf)
         return (distance <= distance.min()) & (distance < 1.5 * self.spacing)
 
 
@@ -318,10 +316,7 @@ def point_sources(
         is_open: mask (H, W) of the nodes that paths may use.
         corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
     """
-    rows, columns = is_open.shape
-    centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
-    offset = centres - point
-    distance = jnp.where(is_open, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
+    distance = jnp.where(is_open, frame.distances(point, is_open.shape), jnp.inf)
     return nearest_open(distance, distance, frame.resolution, corners)
 
 

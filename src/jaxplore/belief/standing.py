@@ -5,7 +5,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Pose, Scalar
-from jaxplore.belief.anomaly_reports import cell_centres
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -24,7 +23,7 @@ def freed_below(
         required: clearance that the robot needs [m].
         sensor_model: inverse sensor model, whose least probability the cells get.
     """
-    distance = jnp.linalg.norm(cell_centres(grid) - pose[:2], axis=-1)
+    distance = grid.frame.distances(pose[:2], grid.shape)
     # Clearance is measured from a cell's centre and less half a cell. The additional 1.5 cells
     # give the cell of the robot the clearance that it requires.
     stands_on = distance <= required + 1.5 * grid.resolution

@@ -119,23 +119,41 @@ class MovingObstacleCost(Cost):
         obstacles: Obstacles = (
             part(belief, "obstacles") if self.obstacles is None else self.obstacles
         )
+        radius, points = state.dynamics.footprint.radius, _points(state)
+        too_close = contact(state, self.margin, self.reaction_time)
         if obstacles.is_known is None:
-            return self._paid(state, t, obstacles)
+            return self._paid(radius, points, too_close, t, obstacles)
         # All samples share the obstacles, so under `jax.vmap` this stays a branch: while none is
-        # known, as of robots that are far apart, nothing is computed.
-        zero = jnp.zeros_like(state.position[0])
+        # known, as of robots that are far apart, nothing is computed. It is given what it reads of
+        # the states, because XLA would copy whole states into it.
         paid: Scalar = jax.lax.cond(
-            jnp.any(obstacles.is_known), lambda: self._paid(state, t, obstacles), lambda: zero
+            jnp.any(obstacles.is_known),
+            lambda points, too_close: self._paid(radius, points, too_close, t, obstacles),
+            lambda _, too_close: jnp.zeros_like(too_close),
+            *(points, too_close),
         )
         return paid
 
-    def _paid(self, state: State, t: Scalar, obstacles: Obstacles) -> Scalar:
-        """Return the cost of a state; obstacles that are not known cost nothing."""
+    def _paid(
+        self,
+        radius: Scalar,
+        points: list[tuple[Scalar, ...]],
+        too_close: Scalar,
+        t: Scalar,
+        obstacles: Obstacles,
+    ) -> Scalar:
+        """Return the cost of a state; obstacles that are not known cost nothing.
+
+        Args:
+            radius: radius of the robot's discs [m].
+            points: centres of these discs [m].
+            too_close: distance of a centre below which the robot is too close [m].
+            t: time from now [s].
+            obstacles: the obstacles at the present time.
+        """
         has_distance = self.clearance is not None or self.collision is not None
         sums_distances = has_distance and not self.nearest_only
-        things = self._expected(state, t, obstacles, has_distance)
-        points = _points(state)
-        too_close = contact(state, self.margin, self.reaction_time)
+        things = self._expected(radius, t, obstacles, has_distance)
 
         def price(obstacle: _Obstacle) -> Scalar:
             paid = jnp.zeros(())
@@ -161,7 +179,8 @@ class MovingObstacleCost(Cost):
             t: time from now [s].
             obstacles: the obstacles at the present time.
         """
-        things, points = self._expected(state, t, obstacles, True), _points(state)
+        radius, points = state.dynamics.footprint.radius, _points(state)
+        things = self._expected(radius, t, obstacles, True)
         return least(lambda obstacle: _gap(obstacle, points), things)[0]
 
     def room(self, state: State, obstacles: Obstacles) -> Scalar:
@@ -170,25 +189,25 @@ class MovingObstacleCost(Cost):
         return self.distance(state, jnp.zeros(()), obstacles) - state.dynamics.footprint.radius
 
     def _expected(
-        self, state: State, t: Scalar, obstacles: Obstacles, has_distance: bool
+        self, radius: Scalar, t: Scalar, obstacles: Obstacles, has_distance: bool
     ) -> _Obstacle:
         """Predict the quantities of each obstacle that the terms read.
 
         They do not depend on the sample, so under `jax.vmap` they are computed once for all.
         """
         covariance = obstacles.predicted_covariance(t)
-        centre = form = corners = radius = variances = None
+        centre = form = corners = radii = variances = None
         if self.nearness is not None:
             centre = obstacles.predicted_centres(t)
-            form = _forms(covariance, state.dynamics.footprint.radius + obstacles.extents)
+            form = _forms(covariance, radius + obstacles.extents)
         if has_distance:
             outlines = obstacles.predicted(t)
-            corners, radius = outlines.corners, outlines.radii
+            corners, radii = outlines.corners, outlines.radii
             if self.caution is not None:
                 entries = covariance[:, 0, 0], 2.0 * covariance[:, 0, 1], covariance[:, 1, 1]
                 # The factor of the deviation is squared here, once for all samples.
                 variances = self.caution**2 * jnp.stack(entries, axis=-1)
-        return _Obstacle(centre, form, corners, radius, variances)
+        return _Obstacle(centre, form, corners, radii, variances)
 
     def _penalty(self, distance: Scalar, too_close: Scalar) -> Scalar:
         """Return the sum of the ramp and the collision term for a distance."""

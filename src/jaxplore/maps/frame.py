@@ -7,7 +7,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Pose, Vector
+from jaxplore._types import ArrayLike, Pose, Position, Vector
 from jaxplore._xla import on_device
 
 PRECISION = 0.02
@@ -96,6 +96,21 @@ class GridFrame(eqx.Module):
     def cell_centre(self, cell: Int[Array, "*N 2"]) -> Float[Array, "*N 2"]:
         """Return the world position (x, y) [m] of the centre of each cell (row, column)."""
         return self.to_world(cell.astype(jnp.float32) + 0.5)
+
+    def distances(self, point: Position, shape: tuple[int, ...]) -> Float[Array, "rows columns"]:
+        """Return the distance of a world point (x, y) from the centre of each cell [m].
+
+        Args:
+            point: the point [m].
+            shape: rows and columns of the cells; static.
+        """
+        # Rows and columns apart: an array of the positions of all cells takes longer to make and to
+        # read than all else that is done with the distances.
+        along = [
+            (jnp.arange(size, dtype=jnp.float32) + 0.5 - at) ** 2
+            for size, at in zip(shape, jnp.unstack(self.to_grid(point)), strict=True)
+        ]
+        return self.resolution * jnp.sqrt(along[0][:, None] + along[1])
 
     def coarsen(
         self, stride: int, node: float, first: Int[Array, "2"] | None = None

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
@@ -132,37 +133,45 @@ class Taken(NamedTuple):
     number: Scalar
 
 
-def taken(values: Float[Array, "N N *A"], source: Int[Array, "N N"]) -> Taken:
+def taken(
+    values: Float[Array, "N N *A"], source: Int[Array, "N N"], version: Int[Array, "N N"]
+) -> Taken:
     """Return `values[source[i, k], k]` for each robot i and each robot k that is known.
 
-    Whole maps are copied and compared one by one, and those that a robot has already are not: a
-    gather of all of them at once would move them cell by cell.
+    Whole maps are copied and compared one by one, in place, and those that a robot has already are
+    not: a gather of all of them at once would move them cell by cell. Robots take in the order of
+    their versions, the oldest first. A robot takes from one with a newer version alone, so what it
+    takes has not been replaced yet.
+
+    Args:
+        values: (N, N, ...) what each robot (first axis) has of each robot (second axis).
+        source: (N, N) result of `newest`.
+        version: (N, N) version that each robot knew of each robot, as for `newest`.
     """
     number, shape = source.shape[0], values.shape[2:]
     zeros = (0,) * len(shape)
+    is_taken = source != jnp.arange(number)[:, None]
+    barrier = jax.lax.optimization_barrier
+    order = jnp.argsort(jnp.where(is_taken, version, np.iinfo(np.int32).max).reshape(-1))
 
-    def take(pair: Count, so_far: Taken) -> Taken:
-        holder, of = jnp.divmod(pair, number)
-        origin = source[holder, of]
-
-        def copy(so_far: Taken) -> Taken:
-            there, here = (
-                jax.lax.dynamic_slice(values, (robot, of, *zeros), (1, 1, *shape))
-                for robot in (origin, holder)
-            )
-            is_new = there != here
-            known = jax.lax.dynamic_slice(so_far.is_news, (holder, *zeros), (1, *shape))
-            return Taken(
-                jax.lax.dynamic_update_slice(so_far.values, there, (holder, of, *zeros)),
-                jax.lax.dynamic_update_slice(so_far.is_news, known | is_new[0], (holder, *zeros)),
-                so_far.number + jnp.sum(is_new, dtype=jnp.float32),
-            )
-
-        result: Taken = jax.lax.cond(origin == holder, lambda same: same, copy, so_far)
-        return result
+    def take(rank: Count, so_far: Taken) -> Taken:
+        holder, of = jnp.divmod(order[rank], number)
+        there, here = (
+            jax.lax.dynamic_slice(so_far.values, (robot, of, *zeros), (1, 1, *shape))
+            for robot in (source[holder, of], holder)
+        )
+        # Otherwise XLA reads them while it writes, for which it copies all maps.
+        there, here = barrier((there, here))  # type: ignore[no-untyped-call]
+        is_new = there != here
+        known = jax.lax.dynamic_slice(so_far.is_news, (holder, *zeros), (1, *shape))
+        return Taken(
+            jax.lax.dynamic_update_slice(so_far.values, there, (holder, of, *zeros)),
+            jax.lax.dynamic_update_slice(so_far.is_news, known | is_new[0], (holder, *zeros)),
+            so_far.number + jnp.sum(is_new, dtype=jnp.float32),
+        )
 
     nothing = Taken(values, jnp.zeros((number, *shape), bool), jnp.zeros(()))
-    found: Taken = jax.lax.fori_loop(0, number * number, take, nothing)
+    found: Taken = jax.lax.fori_loop(0, jnp.sum(is_taken, dtype=jnp.int32), take, nothing)
     return found
 
 
@@ -228,8 +237,7 @@ def exchange(
     log_odds = heard.log_odds.at[every, every].add(own)
     version = heard.version.at[every, every].set(step)
     source = newest(version, links)
-    received, is_news, cells = taken(log_odds, source)
-    version = version[source, every[None, :]]
+    received, is_news, cells = taken(log_odds, source, version)
     sent = CELL_BYTES * cells
     # Beyond the clamp, what a robot adds to its map is not what it adds to the sum. So cells of its
     # own scans follow the sum as well, and robots that have heard the same agree.
@@ -275,9 +283,10 @@ def exchange(
     told = heard.lengths
     if with_lengths:
         lengths = share.gathered([each[-1] for each in found])
-        told, *_ = taken(told.at[every, every].set(jnp.stack(lengths)), source)
+        told, *_ = taken(told.at[every, every].set(jnp.stack(lengths)), source, version)
         is_told = (source != every[:, None])[:, :, None, None] & jnp.isfinite(told)
         sent = sent + NODE_BYTES * jnp.sum(is_told, dtype=jnp.float32)
+    version = version[source, every[None, :]]
     if with_claims:
         age = (step - version).astype(jnp.float32) * scenarios[0].control_period
         age = jnp.where((version == NEVER) | jnp.eye(number, dtype=bool), jnp.inf, age)

@@ -1,6 +1,7 @@
 """What the robots of a fleet learn at a control period, with one compiled body for equal robots."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from jaxplore._alike import Alike
 from jaxplore._types import Flag, Key, Pose
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
+from jaxplore.simulation.exploration.clock import when_due
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs, MovingObstacles
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -84,19 +86,23 @@ class TeamSenses(NamedTuple):
             [each.is_taken for each in scanned],
             list(keys),
         )
-        beliefs = [
-            dataclasses.replace(each.state.belief, obstacles=obstacles)
-            for each, obstacles in zip(scanned, known, strict=True)
-        ]
-        beliefs = jax.lax.cond(
-            first.are_fields_due(moment.step),
-            lambda *given: self._derived(*given),
-            lambda same, *_: same,
+        is_due = first.are_fields_due(moment.step)
+        beliefs: list[Belief] = []
+        for one, sensed, obstacles in zip(scenarios, scanned, known, strict=True):
+            belief = dataclasses.replace(sensed.state.belief, obstacles=obstacles)
+            inform = functools.partial(_informed, one)
+            beliefs += when_due(is_due, sensed.is_placed, inform, (belief,))
+        # What reads an information field is apart from what changes it in place: within one branch
+        # XLA would copy the field of every robot, twice.
+        guided = jax.lax.cond(
+            is_due,
+            self._guided,
+            lambda beliefs, *_: [_guidance(each) for each in beliefs],
             *(beliefs, [each.pose for each in scanned], [each.is_placed for each in scanned]),
         )
         return tuple(
-            each.state._replace(belief=belief)
-            for each, belief in zip(scanned, beliefs, strict=True)
+            each.state._replace(belief=dataclasses.replace(belief, **fields))
+            for each, belief, fields in zip(scanned, beliefs, guided, strict=True)
         )
 
     def _tracked(
@@ -125,44 +131,40 @@ class TeamSenses(NamedTuple):
 
         return self.explorations.each(track, known, *rows)
 
-    def _derived(
+    def _guided(
         self, beliefs: Sequence[Belief], poses: Sequence[Pose], is_placed: Sequence[Flag]
-    ) -> list[Belief]:
-        """Return the beliefs with the fields that follow from their maps."""
-        informed = [
-            jax.lax.cond(
-                placed, lambda at, of=one.perception: of.informed(at), lambda same: same, belief
-            )
-            for one, belief, placed in zip(self.explorations.all, beliefs, is_placed, strict=True)
-        ]
+    ) -> list[dict[str, Any]]:
+        """Return the guidance of each robot, and what else follows from its information."""
 
         def guide(one: ExplorationScenario, belief: Belief, pose: Pose, placed: Flag) -> Any:
             # Any map of the shape will do: without a goal none is read.
             belief = dataclasses.replace(belief, grid=one.map_arrays.prior)
-            after = jax.lax.cond(
+            after: Belief = jax.lax.cond(
                 placed,
                 lambda same: one.perception.guided(same, pose, one.senses.since_fields),
                 lambda same: same,
                 belief,
             )
-            return after.guidance, after.dwell, after.is_explored, after.pose
+            return _guidance(after)
 
         # Guidance reads the clearance and the total information, and the loop need not copy more.
+        absent: dict[str, Any] = {"grid": None, "obstacles": None}
         small = [
-            dataclasses.replace(
-                each,
-                grid=None,
-                obstacles=None,
-                information=each.information.without_directions(),
-            )
-            for each in informed
+            dataclasses.replace(each, information=each.information.without_directions(), **absent)
+            for each in beliefs
         ]
-        found = self.explorations.each(guide, small, poses, is_placed)
-        names = ("guidance", "dwell", "is_explored", "pose")
-        return [
-            dataclasses.replace(belief, **dict(zip(names, fields, strict=True)))
-            for belief, fields in zip(informed, found, strict=True)
-        ]
+        return self.explorations.each(guide, small, poses, is_placed)
+
+
+def _informed(one: ExplorationScenario, belief: Belief) -> tuple[Belief]:
+    """Return the belief of a robot with the information field of its map."""
+    return (one.perception.informed(belief),)
+
+
+def _guidance(belief: Belief) -> dict[str, Any]:
+    """Return the fields of a belief that an update of its guidance changes."""
+    names = ("guidance", "dwell", "is_explored", "pose")
+    return {name: getattr(belief, name) for name in names}
 
 
 def _among(truth: TrueWorld, moving: MovingObstacles | None, around: MovingDiscs) -> TrueWorld:
