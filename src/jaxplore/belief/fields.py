@@ -140,10 +140,20 @@ class BeliefFields(eqx.Module):
     def _to_goal(self, grid: OccupancyGrid, pose: Pose) -> GuidanceField | None:
         if not self.is_goal_apart or self.goal is None:
             return None
+        return self.way_to(self.goal, grid, pose)
+
+    def way_to(self, goal: Position, grid: OccupancyGrid, pose: Pose) -> GuidanceField:
+        """Return the cost-to-go to a goal; see `jaxplore.belief.goal_field`.
+
+        Args:
+            goal: goal position (x, y) [m].
+            grid: the robot's map.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+        """
         return goal_field(
             grid,
             None if self.ground is None else ~self.ground.is_traversable,
-            self.goal,
+            goal,
             self.required_clearance,
             self.locomotion,
             unknown_factor=self.unknown_factor,

@@ -224,12 +224,12 @@ class Quadrotor(ContinuousDynamics):
         heading = self.heading(state)
         turn = jnp.where(jnp.isfinite(yaw), yaw - heading, 0.0)
         sin, cos = sin_cos(turn)
-        north, east = cos * vx - sin * vy, sin * vx + cos * vy
+        vx, vy = cos * vx - sin * vy, sin * vx + cos * vy
         if velocity_error is not None:
-            ahead, right = jnp.unstack(velocity_error)
-            across, along = sin_cos(heading + turn)
-            north = north + along * ahead - across * right
-            east = east + across * ahead + along * right
+            ahead, left = jnp.unstack(velocity_error)
+            sin, cos = sin_cos(heading + turn)
+            vx = vx + cos * ahead - sin * left
+            vy = vy + sin * ahead + cos * left
         # The quaternion of the turn, times that of the attitude.
         sin, cos = sin_cos(0.5 * turn)
         attitude = (
@@ -238,7 +238,7 @@ class Quadrotor(ContinuousDynamics):
             cos * qy + sin * qx,
             cos * qz + sin * qw,
         )
-        return jnp.stack([x, y, z, north, east, vz, *attitude, wx, wy, wz])
+        return jnp.stack([x, y, z, vx, vy, vz, *attitude, wx, wy, wz])
 
     def at_pose(self, x: float, y: float, yaw: float, z: float = 0.0) -> StateVector:
         """Return the state of a level robot at rest at a pose (x, y, yaw, z) [m, m, rad, m]."""

@@ -10,7 +10,6 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector
-from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
@@ -151,20 +150,9 @@ class WaypointMode(ActionMode):
         ahead, left = jnp.clip(action, self.low, self.high)
         sin, cos = sin_cos(pose[2])
         offset = jnp.stack([cos * ahead - sin * left, sin * ahead + cos * left])
-        ground = perception.ground
         # The field has the parameters of the belief's guidance, so costs read both alike.
-        way = goal_field(
-            belief.grid,
-            None if ground is None else ~ground.is_traversable,
-            pose[:2] + offset,
-            perception.required_clearance,
-            perception.locomotion,
-            unknown_factor=perception.unknown_factor,
-            max_clearance=perception.max_clearance,
-            stride=perception.field_sensor.stride,
-            start=pose[:2],
-        )
-        return WaypointController(self.drive, way.from_pose(pose))
+        way = perception.way_to(pose[:2] + offset, belief.grid, pose)
+        return WaypointController(self.drive, way)
 
     def at_period(self, control_period: ArrayLike) -> "WaypointMode":
         """Return this mode for commands that are `control_period` seconds apart."""
