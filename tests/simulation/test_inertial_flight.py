@@ -54,8 +54,8 @@ def test_it_explores_by_what_scans_make_of_the_imu(run) -> None:
     metrics, records = run.metrics, run.recording.records
     assert metrics.is_finished
     assert metrics.collisions == 0
-    # The IMU alone is metres off before the end.
-    assert metrics.odometry_ate > 1.0
+    # The IMU alone is off by as much as the robot is wide, and by ever more.
+    assert metrics.odometry_ate > 0.5
     assert metrics.ate < 0.05
     assert metrics.map_iou > 0.9
     assert np.asarray(records.pose_error).max() < 0.3

@@ -12,8 +12,6 @@ The sum itself is not clamped. What a robot has seen often, and another one as w
 contrary scans to change than on the map of one robot.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -56,7 +54,6 @@ def merged_map(
             probability to the bit, as do those that change by less than `SAME`: what is derived
             from them stays as it is.
     """
-    # One after the other: XLA's sum over a leading axis takes several times as long on a CPU.
-    total = functools.reduce(jnp.add, contributions, model.log_odds(prior))
+    total = model.log_odds(prior) + jnp.sum(contributions, axis=0)
     merged = jax.nn.sigmoid(jnp.clip(total, model.minimum, model.maximum))
     return jnp.where(is_new & (jnp.abs(merged - now) > SAME), merged, now)
