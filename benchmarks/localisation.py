@@ -169,7 +169,9 @@ def main() -> None:
         "--maps", nargs="*", choices=list(available_maps(SITES)), help="[default: all]"
     )
     parser.add_argument("--most-uncertainty", type=float, help="go back beyond this [m]")
-    parser.add_argument("--uncertainty-weight", type=float, help="pay for uncertainty")
+    parser.add_argument(
+        "--uncertainty-weight", type=float, nargs="*", default=[], help="pay so much for it"
+    )
     parser.add_argument("--times", action="store_true", help="only the time of the parts")
     parser.add_argument("--out", type=Path, help="JSON file of the rows")
     choice, console = parser.parse_args(), Console(width=180)
@@ -177,10 +179,14 @@ def main() -> None:
         rows = measure_times()
         console.print(table("Parts of a localisation, scans of 360 beams", rows))
     else:
-        weights = ("most_uncertainty", "uncertainty_weight")
-        changes = {name: getattr(choice, name) for name in weights}
-        changes = {name: value for name, value in changes.items() if value is not None}
-        rows = measure_runs(choice.seeds, choice.maps, **changes)
+        bound = choice.most_uncertainty
+        changes = {} if bound is None else {"most_uncertainty": bound}
+        each = [{**changes, "uncertainty_weight": weight} for weight in choice.uncertainty_weight]
+        rows = [
+            row
+            for changed in each or [changes]
+            for row in measure_runs(choice.seeds, choice.maps, **changed)
+        ]
         console.print(table("Closed loops without a known pose", rows))
     if choice.out is not None:
         choice.out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
