@@ -1,5 +1,6 @@
 """Draw the pictures of the guides that are not of runs: `python docs/pictures.py`."""
 
+import json
 from pathlib import Path
 
 import equinox as eqx
@@ -19,7 +20,7 @@ import jaxplore as jx
 from jaxplore.information.trajectory import METHODS
 from jaxplore.maps.generators.generated import KINDS, generate_map
 
-IMAGES = Path(__file__).parent / "images"
+IMAGES, RECORDS = Path(__file__).parent / "images", Path(__file__).parent / "records"
 DPI = 120
 BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 """Okabe and Ito's palette, told apart with any colour vision."""
@@ -45,6 +46,7 @@ def main() -> None:
             ("control_rollouts", control_rollouts),
             ("fusion_pillar", fusion_pillar),
             ("path_following", path_following),
+            ("uncertainty_weight", uncertainty_weight),
             ("generated_maps", generated_maps),
             ("architecture", architecture),
         ):
@@ -534,6 +536,35 @@ def path_following() -> Figure:
         f"contouring {mean[0]:.2f} mean, {most[1]:.2f} max; lag {mean[2]:.2f}, {most[3]:.2f}; "
         f"{np.median([row[4] for row in results]):.1f} s; {int(np.sum(results, axis=0)[5])} of 20"
     )
+    return figure
+
+
+def uncertainty_weight() -> Figure:
+    """Draw how exact and how slow explorations are by the weight of the uncertainty.
+
+    The rows are those of `python -m benchmarks.localisation --uncertainty-weight 0 3 ...`.
+    """
+    rows = json.loads((RECORDS / "uncertainty_weight.json").read_text(encoding="utf-8"))
+    columns = (("ate_m", "trajectory error [m]"), ("finished_at_s", "time to 99 % [s]"))
+    figure, axes = plt.subplots(1, len(columns), figsize=(7.2, 2.8), layout="constrained")
+    for name, colour in zip(
+        dict.fromkeys(row["map"] for row in rows), (BLUE, ORANGE), strict=False
+    ):
+        mine = [row for row in rows if row["map"] == name]
+        weights = sorted({row["uncertainty_weight"] for row in mine})
+        # The weight 0 has a place of its own on a logarithmic axis.
+        places = np.arange(len(weights))
+        for axis, (column, label) in zip(axes, columns, strict=True):
+            values = [
+                [row[column] for row in mine if row["uncertainty_weight"] == weight]
+                for weight in weights
+            ]
+            axis.plot(places, [np.median(each) for each in values], color=colour, label=name)
+            for place, each in zip(places, values, strict=True):
+                axis.plot(np.full(len(each), place), each, "o", color=colour, ms=3, alpha=0.6)
+            axis.set(ylabel=label, xlabel="uncertainty_weight", ylim=(0.0, None))
+            axis.set_xticks(places, [f"{weight:g}" for weight in weights])
+    axes[0].legend()
     return figure
 
 
