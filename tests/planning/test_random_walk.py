@@ -640,7 +640,7 @@ def test_bad_numbers_are_named_before_they_are_used(numbers: dict, said: str) ->
 def drive(mppi: MPPI, state, steps: int) -> np.ndarray:
     """Return the states (N + 1, nx) of a plain loop."""
     memory, states, belief = mppi.init(), [state], beside(100.0)
-    for key in keys(12, steps):
+    for key in keys(11, steps):
         control, memory, info = plan(mppi, memory, states[-1], belief, key)
         assert bool(info.is_finite)
         states.append(mppi.dynamics.step(states[-1], control, mppi.control_period))
@@ -648,16 +648,16 @@ def drive(mppi: MPPI, state, steps: int) -> np.ndarray:
 
 
 def test_goal_mppi_goes_to_its_goal() -> None:
-    """And stays, and goes no faster than it may. With ten keys it was 0.03 to 0.08 m away in the
-    mean, and 0.06 to 0.16 m at most: samples keep it moving."""
-    robot, cold = (
+    """And stays, and goes no faster than it may. With 64 samples chance moves it by up to 0.16 m,
+    with 256 by up to 0.04 m (16 flights)."""
+    robot, flight = (
         PointMass(max_acceleration=3.0, integrator=Euler()),
-        FLIGHT._replace(temperature=0.01),
+        FLIGHT._replace(num_samples=256),
     )
     for goal in ([2.0, 1.0], [-1.5, 0.5]):
-        states = drive(goal_mppi(robot, goal, cold), robot.at_pose(0.0, 0.0, 0.0), 60)
+        states = drive(goal_mppi(robot, goal, flight), robot.at_pose(0.0, 0.0, 0.0), 60)
         away = np.linalg.norm(states[:, :2] - goal, axis=1)
-        assert (away[45:] < 0.15).all()
+        assert (away[45:] < 0.1).all()
         speeds = np.linalg.norm(states[:, 2:], axis=1)
         assert 0.9 < speeds.max() < 1.1
 

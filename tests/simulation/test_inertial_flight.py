@@ -22,11 +22,15 @@ START = (2.0, 2.0, 0.4)
 
 
 def rooms() -> jx.OccupancyGrid:
-    """A room of 9 m x 6 m with a block and two pilasters, and two more behind doors."""
-    world = np.full((60, 200), 0.01, np.float32)
+    """A room of 9 m x 6 m with a block and two pilasters, and three more behind doors.
+
+    Its length makes the flight long enough for the IMU alone to get lost.
+    """
+    world = np.full((60, 270), 0.01, np.float32)
     world[0] = world[-1] = world[:, 0] = world[:, -1] = 0.99
     world[:40, 90] = world[52:, 90] = world[:10, 145] = world[22:, 145] = 0.99
-    world[10:18, 110:116] = world[40:48, 170:180] = 0.99
+    world[:36, 200] = world[48:, 200] = 0.99
+    world[10:18, 110:116] = world[40:48, 170:180] = world[20:30, 230:240] = 0.99
     world[26:36, 40:52] = 0.99
     world[:8, 60:66] = world[48:, 20:32] = 0.99
     return jx.OccupancyGrid(world, 0.1)
@@ -54,8 +58,8 @@ def test_it_explores_by_what_scans_make_of_the_imu(run) -> None:
     metrics, records = run.metrics, run.recording.records
     assert metrics.is_finished
     assert metrics.collisions == 0
-    # The IMU alone is off by as much as the robot is wide, and by ever more.
-    assert metrics.odometry_ate > 0.5
+    # The IMU alone is metres off before the end.
+    assert metrics.odometry_ate > 1.0
     assert metrics.ate < 0.05
     assert metrics.map_iou > 0.9
     assert np.asarray(records.pose_error).max() < 0.3
