@@ -47,7 +47,7 @@ from benchmarks.timing import timed
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.planning import InformativeMPPI
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
-from jaxplore.simulation.scenario import LoopState
+from jaxplore.simulation.state import LoopState
 
 ARCHITECTURES = ("two-layer", "parallel")
 CHUNK = 25

@@ -20,7 +20,7 @@ from jaxplore.cli import main
 from jaxplore.settings.exploration import SCENARIOS, is_scenario_file, read_settings
 from jaxplore.settings.exploration import scenario_path as path_of
 from jaxplore.simulation.loop import initial_loop_state, moment_at
-from jaxplore.simulation.scenario import LoopState
+from jaxplore.simulation.state import LoopState
 
 
 @pytest.fixture(autouse=True)

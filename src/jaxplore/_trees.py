@@ -40,10 +40,11 @@ class HostOnly[T]:
         return repr(self.value)
 
 
-def with_static[T: eqx.Module](module: T, name: str, value: Any) -> T:
-    """Return a module with another value of a field without leaves.
+def with_field[T: eqx.Module](module: T, name: str, value: Any) -> T:
+    """Return a module with another value of a field that `eqx.tree_at` cannot set.
 
-    Modules are frozen, and `eqx.tree_at` sets leaves only.
+    Modules are frozen. `eqx.tree_at` sets leaves, not static fields, and no field that a
+    constructor has left at its default.
 
     Args:
         module: the module.

@@ -24,7 +24,7 @@ from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
-from jaxplore.simulation.scenario import LoopState
+from jaxplore.simulation.state import LoopState
 
 PERIOD, CHUNK = 0.05, 10  # the chunk is record_run's own, so that nothing is compiled twice
 WORLD = np.zeros((30, 40), np.float32)

@@ -15,7 +15,7 @@ from jaxplore.simulation.exploration.located import Localisation, corrected_stat
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import simulate
-from jaxplore.simulation.scenario import Moment
+from jaxplore.simulation.state import Moment
 
 LIDAR = jx.Lidar(num_beams=180, max_range=3.0, range_noise=0.01)
 ROBOT = jx.DifferentialDrive(max_speed=1.0)

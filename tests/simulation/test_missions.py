@@ -35,7 +35,7 @@ from jaxplore.simulation.loop import (
     initial_loop_state,
     run_chunk,
 )
-from jaxplore.simulation.scenario import LoopState, Moment
+from jaxplore.simulation.state import LoopState, Moment
 
 SHAPE, RESOLUTION = (30, 40), 0.2  # 8 m x 6 m
 PERIOD, CAPACITY = 0.05, 40

@@ -189,7 +189,7 @@ def test_a_contact_stops_the_robot() -> None:
 
 def _moment(given):
     from jaxplore.control.base import Info
-    from jaxplore.simulation.scenario import Moment
+    from jaxplore.simulation.state import Moment
 
     nothing, no = jnp.zeros(()), jnp.array(False)
     info = Info(jnp.zeros((1, 4)), nothing[None], nothing[None], nothing, no)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DIRECTIONS
-from jaxplore._trees import with_static
+from jaxplore._trees import with_field
 from jaxplore._types import ArrayLike, Pose, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.anomalies import AnomalyTest
@@ -198,7 +198,7 @@ class Perception(BeliefFields):
         The maps of a batch change in different places, and each iteration of a loop over these
         places would copy the fields of all maps. The beliefs are equal.
         """
-        return with_static(self, "is_batched", True)
+        return with_field(self, "is_batched", True)
 
     def init(self, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief before the first scan, with the cells under the robot free.

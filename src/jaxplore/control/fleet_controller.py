@@ -10,7 +10,7 @@ from jaxtyping import Array, Int
 
 from jaxplore import _kinds
 from jaxplore._alike import Alike
-from jaxplore._trees import with_static
+from jaxplore._trees import with_field
 from jaxplore._types import ArrayLike, ControlVector, Key, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.fleet_share import Share, checked_share
@@ -95,7 +95,7 @@ class FleetController(Controller):
             ValueError: controllers that are not all equal, or one alone.
         """
         checked_share(share, self.own.kinds, "controllers")
-        return with_static(self, "share", share)
+        return with_field(self, "share", share)
 
     @property
     def controllers(self) -> tuple[Controller, ...]:

@@ -25,7 +25,7 @@ from jaxplore.simulation.exploration.progress import map_progress, observed
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import step_keys
-from jaxplore.simulation.scenario import LoopState, Moment
+from jaxplore.simulation.state import LoopState, Moment
 
 NEWTON_STEPS = 3
 """Steps of the search for a control; one is exact where no bound is met."""

@@ -22,7 +22,8 @@ from jaxplore.simulation.monitor import (
     Update,
     begin_all,
 )
-from jaxplore.simulation.scenario import LoopState, blank_recording
+from jaxplore.simulation.scenario import blank_recording
+from jaxplore.simulation.state import LoopState
 
 
 class DriveWatch:

@@ -24,7 +24,7 @@ from jaxplore.simulation.following.traffic import Traffic as Traffic
 from jaxplore.simulation.run import Run as Run
 from jaxplore.simulation.run import simulate as simulate
 from jaxplore.simulation.scenario import AgentView as AgentView
-from jaxplore.simulation.scenario import Moment as Moment
 from jaxplore.simulation.scenario import Scenario as Scenario
+from jaxplore.simulation.state import Moment as Moment
 from jaxplore.simulation.variation import Variation as Variation
 from jaxplore.simulation.volume.scenario import VolumeScenario as VolumeScenario

@@ -25,8 +25,9 @@ from jaxplore.simulation.loop import (
     frame_arrays,
     initial_loop_state,
 )
-from jaxplore.simulation.scenario import LoopState, Scenario
+from jaxplore.simulation.scenario import Scenario
 from jaxplore.simulation.stacking import LeafMask, Stacked
+from jaxplore.simulation.state import LoopState
 
 Keys = KeyArray[Array, "..."]
 """Random keys (B,) of the runs, or one key for all."""

@@ -15,7 +15,8 @@ from jaxplore._types import Key
 from jaxplore.control.base import Controller
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.scenario import LoopState, Scenario
+from jaxplore.simulation.scenario import Scenario
+from jaxplore.simulation.state import LoopState
 
 _LOOP = "loop/"
 _STATE = f"{_LOOP}state/"

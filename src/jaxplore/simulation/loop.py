@@ -15,7 +15,8 @@ from jaxplore.control.base import Controller
 from jaxplore.control.guard import GOOD, LOST, GuardState, MotionGuard
 from jaxplore.control.latency import LatencyCompensation
 from jaxplore.simulation.chunks import loop
-from jaxplore.simulation.scenario import LoopState, Moment, Scenario
+from jaxplore.simulation.scenario import Scenario
+from jaxplore.simulation.state import LoopState, Moment
 
 
 def step_keys(key: Key, step: Count) -> tuple[Key, Key]:

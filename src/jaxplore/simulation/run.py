@@ -36,7 +36,8 @@ from jaxplore.simulation.chunks import (
 )
 from jaxplore.simulation.loop import copied, frame_arrays, initial_loop_state, run_chunk
 from jaxplore.simulation.monitor import Monitor, Watch
-from jaxplore.simulation.scenario import LoopState, Scenario, blank_recording
+from jaxplore.simulation.scenario import Scenario, blank_recording
+from jaxplore.simulation.state import LoopState
 
 NUM_TRAJECTORIES = 60
 """Number of rollouts in each frame."""

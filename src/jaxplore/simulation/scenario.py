@@ -1,23 +1,22 @@
 """The protocol of a task, on which the loop, batches, studies, Gymnasium and reports rely."""
 
 import abc
-import copy
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxplore import _kinds
 from jaxplore._describe import describe_fields
-from jaxplore._trees import HostOnly
-from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
+from jaxplore._trees import HostOnly, with_field
+from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
-from jaxplore.control.guard import GuardState, MotionGuard, ScanPoints
+from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.report.compute import Timing
@@ -25,61 +24,11 @@ from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording, moved_records
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.variation import Drawn, Variation
+from jaxplore.simulation.state import LoopState, Moment
+from jaxplore.simulation.variation import Variation
 
 type Inspect = Callable[[StateVector, Any], SampledPlan]
 """Function from an observed state and a belief to the sampled plan of the controller's step."""
-
-
-class Moment(NamedTuple):
-    """Time of a step, and the state that the controller observes.
-
-    Args:
-        step: number of steps before it.
-        time: time since the start [s].
-        observed: (nx,) state that the controller observes.
-        is_blind: whether a dropout of measurements is active.
-        is_faulty: whether a fault of measurements or odometry is active.
-        measured: (nx,) state that was measured, also where the guard does not trust it and the
-            observed state is NaN; None without a guard.
-        guard: judgement of the guard; None without one.
-    """
-
-    step: Count
-    time: Scalar
-    observed: StateVector
-    is_blind: Flag
-    is_faulty: Flag
-    measured: StateVector | None = None
-    guard: GuardState | None = None
-
-    @property
-    def stop(self) -> Count | None:
-        """Why the guard stops the robot, an index into `control.guard.REASONS`; None without a
-        guard."""
-        return None if self.guard is None else self.guard.stop
-
-
-class LoopState(NamedTuple):
-    """State of the closed loop.
-
-    Args:
-        task: state of the task, see `Scenario`.
-        controller: state of the controller.
-        step: number of steps done.
-        observed: (nx,) state that the controller observed last.
-        pending: (D, nu) commands that have not taken effect yet, oldest first.
-        drawn: variation of the episode; None if the robot does not vary.
-        guard: state of the guard; None without one.
-    """
-
-    task: Any
-    controller: Any
-    step: Count
-    observed: StateVector
-    pending: Float[Array, "D nu"]
-    drawn: Drawn | None = None
-    guard: GuardState | None = None
 
 
 class Scenario(eqx.Module):
@@ -134,11 +83,7 @@ class Scenario(eqx.Module):
         _kinds.instance("variation", variation, Variation, may_be_none=True)
         if variation is not None:
             variation.check(self.robot)
-        varied = copy.copy(self)
-        # Modules are frozen, and a subclass with a constructor of its own has not set the field, so
-        # that no function of Equinox could replace it.
-        object.__setattr__(varied, "variation", variation)
-        return varied
+        return with_field(self, "variation", variation)
 
     def guarded[S: "Scenario"](self: S, guard: MotionGuard | None) -> S:
         """Return the scenario with a guard that stops the robot while its pose cannot be true.
@@ -147,10 +92,7 @@ class Scenario(eqx.Module):
             guard: the guard; None for none.
         """
         _kinds.instance("guard", guard, MotionGuard, may_be_none=True)
-        guarded = copy.copy(self)
-        # As in `varied`.
-        object.__setattr__(guarded, "guard", guard)
-        return guarded
+        return with_field(self, "guard", guard)
 
     def measured(self, state: Any) -> StateVector:
         """Return the state (nx,) that the robot's base measures: by default the true one.

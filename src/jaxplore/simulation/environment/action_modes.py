@@ -16,7 +16,8 @@ from jaxplore.control.trajectory import Trajectory
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.scenario import Moment, Scenario
+from jaxplore.simulation.scenario import Scenario
+from jaxplore.simulation.state import Moment
 
 ActionVector = Float[Array, "A"]
 

@@ -21,8 +21,9 @@ from jaxplore.simulation.loop import (
     moment_at,
     step_keys,
 )
-from jaxplore.simulation.scenario import AgentView, LoopState, Moment, Scenario
+from jaxplore.simulation.scenario import AgentView, Scenario
 from jaxplore.simulation.stacking import Stacked
+from jaxplore.simulation.state import LoopState, Moment
 
 
 class EpisodeStatistics(NamedTuple):

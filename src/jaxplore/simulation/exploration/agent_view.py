@@ -17,7 +17,8 @@ from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.state import ExplorationState, max_ranges
 from jaxplore.simulation.robot_fields import footprint_corners
-from jaxplore.simulation.scenario import AgentView, Moment, state_bounds
+from jaxplore.simulation.scenario import AgentView, state_bounds
+from jaxplore.simulation.state import Moment
 
 WHOLE_MAP = 100.0
 """Total reward for making an unknown map certain."""

@@ -73,7 +73,8 @@ from jaxplore.simulation.exploration.state import ExplorationState, initial_stat
 from jaxplore.simulation.exploration.true_objects import TrueObjects, true_objects
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.scenario import Inspect, LoopState, Moment, Scenario
+from jaxplore.simulation.scenario import Inspect, Scenario
+from jaxplore.simulation.state import LoopState, Moment
 
 
 class ExplorationScenario(Scenario):

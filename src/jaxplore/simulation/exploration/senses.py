@@ -26,7 +26,7 @@ from jaxplore.simulation.exploration.scan_points import scan_points
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_objects import TrueObjects
 from jaxplore.simulation.exploration.true_world import TrueWorld
-from jaxplore.simulation.scenario import Moment
+from jaxplore.simulation.state import Moment
 
 
 class Scanned(NamedTuple):

@@ -10,7 +10,7 @@ from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.scenario import Moment
+from jaxplore.simulation.state import Moment
 
 
 def moves(

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxplore import _checks, _kinds
 from jaxplore._alike import Alike
 from jaxplore._describe import describe_fields
-from jaxplore._trees import HostOnly, with_static
+from jaxplore._trees import HostOnly, with_field
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Rows, Scalar, StateVector
 from jaxplore._xla import on_device
 from jaxplore.control.base import Controller, Info
@@ -36,7 +36,8 @@ from jaxplore.simulation.fleet.senses import TeamSenses
 from jaxplore.simulation.fleet.starts import checked_starts
 from jaxplore.simulation.fleet.state import FleetState
 from jaxplore.simulation.fleet.talk import Talk
-from jaxplore.simulation.scenario import Inspect, LoopState, Moment, Scenario
+from jaxplore.simulation.scenario import Inspect, Scenario
+from jaxplore.simulation.state import LoopState, Moment
 
 COORDINATIONS = ("claims", "assignment", "none")
 """Ways in which the robots of a fleet divide the places among themselves."""
@@ -162,7 +163,7 @@ class Fleet(Scenario):
             ValueError: robots that are not all equal, or one alone.
         """
         checked_share(share, self.explorations.kinds, "robots")
-        return with_static(self, "share", share)
+        return with_field(self, "share", share)
 
     @property
     def steps_per_measurement(self) -> int:

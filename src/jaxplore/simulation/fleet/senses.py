@@ -19,7 +19,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.fleet.rows import others
-from jaxplore.simulation.scenario import Moment
+from jaxplore.simulation.state import Moment
 
 
 class TeamSenses(NamedTuple):

@@ -23,7 +23,7 @@ from jaxplore.simulation.fleet.contact import planned_positions
 from jaxplore.simulation.fleet.radio import Exchanged, Heard, Radio, exchange
 from jaxplore.simulation.fleet.rows import others
 from jaxplore.simulation.fleet.state import FleetState, Team
-from jaxplore.simulation.scenario import Moment
+from jaxplore.simulation.state import Moment
 
 BESIDE = 1.0
 """Distance that robots keep in view beyond the reach of their plans [m]."""

@@ -12,7 +12,8 @@ from jaxplore._types import Flag, Scalar
 from jaxplore.geometry.path import Path
 from jaxplore.report.following.data import PathRecord
 from jaxplore.simulation.following.state import PathState
-from jaxplore.simulation.scenario import AgentView, Moment, state_bounds
+from jaxplore.simulation.scenario import AgentView, state_bounds
+from jaxplore.simulation.state import Moment
 
 AHEAD, NUM_AHEAD = 1.0, 12
 """Distance between the path points that an agent observes [m], and their number."""

@@ -46,7 +46,8 @@ from jaxplore.simulation.following.agent_view import PathView
 from jaxplore.simulation.following.state import PathState
 from jaxplore.simulation.following.traffic import Traffic
 from jaxplore.simulation.robot_fields import robot_fields
-from jaxplore.simulation.scenario import Inspect, Moment, Scenario
+from jaxplore.simulation.scenario import Inspect, Scenario
+from jaxplore.simulation.state import Moment
 
 SAME = 1e-3
 """Difference of two distances from the path that is only rounding [m]."""

@@ -35,7 +35,8 @@ from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.scenario import Inspect, Moment, Scenario
+from jaxplore.simulation.scenario import Inspect, Scenario
+from jaxplore.simulation.state import Moment
 from jaxplore.simulation.volume.observable import fitting_places, observable
 
 TOUCHING = 1.0

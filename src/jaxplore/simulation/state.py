@@ -1,0 +1,60 @@
+"""State of the closed loop, and the moment of a step, which all tasks share."""
+
+from typing import Any, NamedTuple
+
+from jaxtyping import Array, Float
+
+from jaxplore._types import Count, Flag, Scalar, StateVector
+from jaxplore.control.guard import GuardState
+from jaxplore.simulation.variation import Drawn
+
+
+class Moment(NamedTuple):
+    """Time of a step, and the state that the controller observes.
+
+    Args:
+        step: number of steps before it.
+        time: time since the start [s].
+        observed: (nx,) state that the controller observes.
+        is_blind: whether a dropout of measurements is active.
+        is_faulty: whether a fault of measurements or odometry is active.
+        measured: (nx,) state that was measured, also where the guard does not trust it and the
+            observed state is NaN; None without a guard.
+        guard: judgement of the guard; None without one.
+    """
+
+    step: Count
+    time: Scalar
+    observed: StateVector
+    is_blind: Flag
+    is_faulty: Flag
+    measured: StateVector | None = None
+    guard: GuardState | None = None
+
+    @property
+    def stop(self) -> Count | None:
+        """Why the guard stops the robot, an index into `control.guard.REASONS`; None without a
+        guard."""
+        return None if self.guard is None else self.guard.stop
+
+
+class LoopState(NamedTuple):
+    """State of the closed loop.
+
+    Args:
+        task: state of the task, see `Scenario`.
+        controller: state of the controller.
+        step: number of steps done.
+        observed: (nx,) state that the controller observed last.
+        pending: (D, nu) commands that have not taken effect yet, oldest first.
+        drawn: variation of the episode; None if the robot does not vary.
+        guard: state of the guard; None without one.
+    """
+
+    task: Any
+    controller: Any
+    step: Count
+    observed: StateVector
+    pending: Float[Array, "D nu"]
+    drawn: Drawn | None = None
+    guard: GuardState | None = None
