@@ -117,6 +117,10 @@ def test_its_scans_are_scans_of_a_sensor(log) -> None:
         ([line(pose=(1e7, 0, 0))], r"line 1 has a pose with 1e\+07; accepted: numbers up to"),
         ([line(time=math.nan)], "line 1 has 'nan' among its numbers"),
         ([line(time=2.0), "", line(time=1.5)], "line 3 has the time 1.5; accepted: at least 2"),
+        (
+            [line(pose=(3.0, 2.0, 0.0)), line(pose=(0.0, 2.0, 0.0)), line(pose=(8.0, 8.1, 0.0))],
+            "line 3 has the time of the scan before, 10.1 m away; accepted: at most 10 m",
+        ),
     ],
 )
 def test_what_is_no_log_is_refused(log, lines, said: str) -> None:
@@ -167,6 +171,19 @@ def test_a_damaged_log_is_read_or_refused(log, data) -> None:
     assert (np.diff(found.times) >= 0.0).all()
     assert number >= 1
     assert beams >= 1
+
+
+def test_a_real_log_whose_lines_were_mixed_is_refused(tmp_path: Path) -> None:
+    """Its times have six digits: two for 406 scans."""
+    if not REAL.is_file():
+        pytest.skip(f"no log at {REAL}")
+    lines = [each for each in REAL.read_text("ascii").splitlines() if each.startswith("FLASER")]
+    for first, last in ((0, 406), (0, 60), (150, 300)):
+        mixed = np.random.default_rng(first).permutation(np.asarray(lines[first:last], object))
+        path = tmp_path / f"{first}.log"
+        path.write_text("\n".join(mixed), "ascii")
+        with pytest.raises(ValueError, match=r"line \d+ has the time"):
+            read_laser_log(path)
 
 
 def test_the_angles_of_a_real_log_make_sharp_walls() -> None:

@@ -18,6 +18,8 @@ LOG_LIMIT = 100_000_000
 """Largest log that is read [bytes]: hours of scans of 181 beams."""
 MOST_SCANS = 200_000
 """Greatest number of scans of a log."""
+LONGEST_STEP = 10.0
+"""Greatest distance between neighbouring scans to which a log gives the same time [m]."""
 NO_ECHO = 80.0
 """Readings from here on mean that a beam of a SICK LMS got no echo [m]."""
 SPACINGS = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}
@@ -87,7 +89,8 @@ def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = N
         FLASER n r_1 ... r_n x y yaw odom_x odom_y odom_yaw ipc_time host logger_time
 
     Other lines, such as ODOM, PARAM and comments after `#`, are skipped. The time of a scan is the
-    last number. Logs may print it with few digits, so that many scans have the same.
+    last number. Logs may print it with few digits, so that many scans have the same; those that are
+    neighbours are at most 10 m apart then.
 
     The format has no angles: they follow from the number of beams. 181 beams are from -90 to 90
     degrees, 1 degree apart, and 361 beams half a degree. 180 and 360 beams are those without the
@@ -104,9 +107,9 @@ def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = N
     Raises:
         ValueError: a file that cannot be read, is larger than 100 MB, or has no FLASER line; a line
             with other columns, another number of beams than the first, something else than finite
-            numbers, a negative range or a time before the last one; a number of beams whose angles
-            are not known; a field of view outside (0, 2 pi]. One line that names the file, and the
-            line of the file.
+            numbers, a negative range, a time before the last one, or the last one's far from it; a
+            number of beams whose angles are not known; a field of view outside (0, 2 pi]. One line
+            that names the file, and the line of the file.
     """
     _kinds.instance("path", path, str, PathLike)
     view = None
@@ -124,6 +127,13 @@ def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = N
             row = _row(line.split(), count)
             if row[-1] < before:
                 raise ValueError(f"has the time {row[-1]:.10g}; accepted: at least {before:.10g}")
+            # Where equal times say nothing about the order, the way of the robot does.
+            step = math.dist(row[count : count + 2], rows[-1][count : count + 2]) if rows else 0.0
+            if row[-1] == before and step > LONGEST_STEP:
+                raise ValueError(
+                    f"has the time of the scan before, {step:.1f} m away; accepted: at most "
+                    f"{LONGEST_STEP:g} m"
+                )
             if len(rows) == MOST_SCANS:
                 raise ValueError(f"is one scan too many; accepted: at most {MOST_SCANS}")
         except ValueError as error:
