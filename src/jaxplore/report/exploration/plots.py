@@ -54,11 +54,11 @@ MAX_SEGMENTS = 2000
 def map_figure(recording: ExplorationData) -> "Figure":
     """Draw the final belief with the robot's path and the outline of the true free space.
 
-    Walls that were not seen are red, with a line that is as wide in the picture of a large map. If
-    present, it also shows the height of the ground as contour
-    lines, untraversable ground hatched, the targets, the last positions of the moving obstacles
-    with their positions in the frames, and a rectangular robot's outline at the start and at the
-    end.
+    Walls that the belief lacks are red, with a line that is as wide in the picture of a large map:
+    they were not seen, or a robot that estimates its pose has drawn them elsewhere. If present, it
+    also shows the height of the ground as contour lines, untraversable ground hatched, the targets,
+    the last positions of the moving obstacles with their positions in the frames, and a rectangular
+    robot's outline at the start and at the end.
 
     A rotated map is drawn along its own axes. The function has more than 60 lines because the
     order of its layers decides what covers what.
@@ -108,7 +108,9 @@ def map_figure(recording: ExplorationData) -> "Figure":
         autolim=False,
     )
     if len(missed):
-        axes.plot([], [], color=shade(MISSED), linewidth=3.0, label="wall not seen")
+        # What a robot saw from poses with errors may be on its map beside where it is.
+        label = "wall not seen" if recording.localisation is None else "true wall, not on the map"
+        axes.plot([], [], color=shade(MISSED), linewidth=3.0, label=label)
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
     add_objects(axes, recording.objects, window)
