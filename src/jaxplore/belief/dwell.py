@@ -9,8 +9,8 @@ from jaxplore.maps.window import Window
 
 DWELL_RADIUS = 0.5
 """Standard deviation of the Gaussian around the robot in which time counts as spent there [m]."""
-GIVEN_UP = 2.0
-"""What is added to the dwell time of a place that is given up, in units of the patience."""
+GIVEN_UP = 0.2
+"""Dwell time for which a look counts that takes away the worth of a place, in units of patience."""
 REACH = 8.0
 """Standard deviations beyond which no time is added: it would be less than 1e-13 of the time."""
 
@@ -58,7 +58,8 @@ def with_given_up(
     `GIVEN_UP` times the patience is added where the discounted information falls below
     `min_information` by the looks since the last update. Scans from poses with errors contradict
     each other at walls: from one place the robot sees through a thin wall, from another it does
-    not. Without a memory of it the robot would go to and fro between both for ever.
+    not. Without a memory of it the robot would go to and fro between both for ever. One look
+    matters little, because new views may add information to a place as well.
 
     Args:
         dwell: dwell time [s].

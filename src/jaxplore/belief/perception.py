@@ -102,9 +102,9 @@ class Perception(BeliefFields):
         anomalies: test for what differs from the prior map; none by default.
         recognition: classes of objects; none by default.
         is_localising: whether the robot estimates its pose. It decides the default of
-            `min_information`. A place that a look takes below `min_information` then counts as one
-            where the robot has stayed for twice `patience` more, unless there is a watch, a test
-            for anomalies or a recognition, for which places must be seen again.
+            `min_information`. Each look that takes a place below `min_information` then counts as a
+            stay there of a fifth of `patience`, unless there is a watch, a test for anomalies or a
+            recognition, for which places must be seen again.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
