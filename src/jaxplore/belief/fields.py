@@ -9,7 +9,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import Flag, GridValues, Pose, Position, Scalar
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.dwell import add_dwell, dwell_discount, with_given_up
+from jaxplore.belief.dwell import add_dwell, dwell_discount
 from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
@@ -50,7 +50,6 @@ class BeliefFields(eqx.Module):
     unknown_factor: Scalar
     is_goal_apart: bool = eqx.field(static=True)
     is_batched: bool = eqx.field(static=True)
-    gives_up: bool = eqx.field(static=True)
 
     def update_fields(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Update the information and guidance fields of the belief.
@@ -75,11 +74,7 @@ class BeliefFields(eqx.Module):
         # What objects add is in the last field, and an update would keep it.
         before = belief.information if belief.objects is None else None
         information = self._information(belief.grid, belief.idleness, before)
-        dwell = belief.dwell
-        if self.gives_up:
-            looked = belief.information.total, information.total
-            dwell = with_given_up(dwell, *looked, self.min_information, self.patience)
-        return dataclasses.replace(belief, information=information, dwell=dwell)
+        return dataclasses.replace(belief, information=information)
 
     def guided(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Return the belief with the fields that follow from its information; see `update_fields`.

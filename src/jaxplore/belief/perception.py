@@ -101,10 +101,8 @@ class Perception(BeliefFields):
         car: how a robot moves that cannot turn on the spot; by default it can.
         anomalies: test for what differs from the prior map; none by default.
         recognition: classes of objects; none by default.
-        is_localising: whether the robot estimates its pose. It decides the default of
-            `min_information`. Each look that takes a place below `min_information` then counts as a
-            stay there of a fifth of `patience`, unless there is a watch, a test for anomalies or a
-            recognition, for which places must be seen again.
+        is_localising: whether the robot estimates its pose; only for the default of
+            `min_information`.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
@@ -193,9 +191,6 @@ class Perception(BeliefFields):
             raise ValueError("goal is None; accepted: a position, for a goal apart")
         self.is_goal_apart = is_goal_apart
         self.is_batched = False
-        # What must be seen again is not given up.
-        again = (watch, anomalies, recognition)
-        self.gives_up = is_localising and all(each is None for each in again)
 
     def for_batches(self) -> "Perception":
         """Return a copy for use under `jax.vmap`, which recomputes fields instead of updating them.
