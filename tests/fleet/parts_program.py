@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -18,6 +19,16 @@ from jaxplore.simulation.run import simulate
 from jaxplore.study.fleet_parts import simulate_in_parts
 
 STEPS = 40
+FOLDER = tempfile.mkdtemp()
+"""Where each worker writes its process, by the place of its first robot."""
+
+
+class Noted(jx.Fleet):
+    """A fleet whose parts note the processes that they run in."""
+
+    def with_share(self, share):
+        Path(FOLDER, str(share.mine[0])).write_text(str(os.getpid()))
+        return super().with_share(share)
 
 
 def two_robots():
@@ -37,7 +48,7 @@ def two_robots():
         control_rate=20.0,
         field_rate=4.0,
     )
-    fleet = jx.Fleet(alone, [(1.0, 1.0, 0.3), (1.0, 2.0, -0.4)], plan_length=10)
+    fleet = Noted(alone, [(1.0, 1.0, 0.3), (1.0, 2.0, -0.4)], plan_length=10)
     drive = jx.explorer(
         robot,
         has_moving_obstacles=True,
@@ -65,14 +76,15 @@ def workers():
 
 
 def once_they_run(act):
-    """Call a function with the workers, in a thread, a while after there are two."""
+    """Call a function in a thread, a while after both workers have noted their processes."""
 
     def wait():
         deadline = time.monotonic() + 120.0
         while time.monotonic() < deadline:
-            if len(found := workers()) == 2:
+            noted = {int(each.read_text() or 0) for each in Path(FOLDER).iterdir()}
+            if len(noted) == 2 and noted == set(workers()):
                 time.sleep(2.0)
-                act(found)
+                act()
                 return
             time.sleep(0.2)
 
@@ -100,8 +112,9 @@ if __name__ == "__main__":
     controller, fleet = two_robots()
     options = {"key": jax.random.key(3), "num_trajectories": 0}
     if sys.argv[1] == "ends":
-        killed = ends(lambda found: os.kill(found[0], signal.SIGKILL))
-        stopped = ends(lambda _: os.kill(os.getpid(), signal.SIGINT))
+        # The numbers of processes are in no order.
+        killed = ends(lambda: os.kill(int(Path(FOLDER, "0").read_text()), signal.SIGKILL))
+        stopped = ends(lambda: os.kill(os.getpid(), signal.SIGINT))
         print(json.dumps([killed, stopped]))
         sys.exit()
     one = simulate(controller, fleet, STEPS, **options).recording
