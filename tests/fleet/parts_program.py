@@ -1,7 +1,9 @@
 """Two robots in one process and in two workers of a cluster, which die or are stopped."""
 
+import atexit
 import json
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -109,6 +111,7 @@ def ends(act):
 if __name__ == "__main__":
     # A shell ignores the signal for what it runs in the background.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    atexit.register(shutil.rmtree, FOLDER, ignore_errors=True)
     controller, fleet = two_robots()
     options = {"key": jax.random.key(3), "num_trajectories": 0}
     if sys.argv[1] == "ends":
