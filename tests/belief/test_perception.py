@@ -19,7 +19,7 @@ from jaxplore import (
     State,
 )
 from jaxplore.belief import IdlenessMap
-from jaxplore.belief.dwell import add_dwell
+from jaxplore.belief.dwell import add_dwell, with_given_up
 from jaxplore.maps import Ground
 from jaxplore.maps.frame import GridFrame
 
@@ -28,6 +28,7 @@ PERCEPTION = Perception(LIDAR, 0.1, 0.2, num_directions=16)
 init = eqx.filter_jit(lambda perception, *arguments: perception.init(*arguments))
 observe = eqx.filter_jit(lambda perception, *arguments: perception.observe(*arguments))
 update_fields = eqx.filter_jit(lambda perception, *arguments: perception.update_fields(*arguments))
+with_map = eqx.filter_jit(lambda perception, *arguments: perception.with_map(*arguments))
 
 
 @eqx.filter_jit
@@ -140,6 +141,65 @@ def test_a_place_watched_in_vain_loses_its_pull_and_regains_it() -> None:
     assert float(tired.dwell.max()) == pytest.approx(60 * (1 - math.exp(-0.5)), rel=0.05)
     forgetful = eqx.tree_at(lambda p: p.memory, PERCEPTION, jnp.asarray(1.0))
     assert float(fields(world, near, forgetful, times=150).dwell.max()) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("is_localising", "quiet"), [(False, 90.0), (True, 90.0), (True, 30.0), (True, None)]
+)
+def test_a_robot_that_localises_gives_up_looks_when_it_sees_nothing_new(
+    is_localising: bool, quiet: float | None
+) -> None:
+    """From one place a wall looks thick, from the next one as if there were something behind it."""
+    numbers = {"num_directions": 16, "min_information": 5.0}
+    perception = Perception(LIDAR, 0.1, 0.2, **numbers, is_localising=is_localising)
+    thick, pose = room(), jnp.asarray([4.0, 1.5, 0.0])
+    thick[5:25, 1:6] = 0.5  # farther away, and always there
+    thin = thick.copy()
+    thin[8:22, 50:59] = 0.5
+    belief = init(perception, OccupancyGrid(thin, 0.1), pose)
+
+    def leads_ahead(belief) -> bool:
+        ahead, behind = (float(belief.guidance(jnp.asarray([x, 1.5]))) for x in (4.4, 3.6))
+        return ahead < behind
+
+    def after(belief, world: np.ndarray, elapsed: float):
+        belief = with_map(perception, belief, OccupancyGrid(world, 0.1))
+        return update_fields(perception, belief, pose, jnp.asarray(elapsed))
+
+    def waited(belief, elapsed: float):
+        return update_fields(perception, belief, jnp.full(3, jnp.nan), jnp.asarray(elapsed))
+
+    assert leads_ahead(belief)
+    # What it has seen by now is new; from then on nothing is, for so many seconds.
+    belief = after(after(belief, thick, 0.2), thin, 0.2)
+    assert leads_ahead(belief)
+    if quiet is not None:
+        belief = waited(belief, quiet)
+    belief = after(after(belief, thick, 0.2), thin, 0.2)
+    assert leads_ahead(belief) == (not is_localising or quiet != 90.0)
+    # It comes back to it when it has been elsewhere for minutes.
+    assert leads_ahead(waited(belief, 300.0))
+
+
+@given(
+    *[st.floats(0.0, 60.0, width=32)] * 2,
+    st.floats(0.0, 9.0, width=32),
+    st.floats(0.5, 40.0, width=32),
+)
+def test_a_place_is_given_up_where_looks_take_it_below_the_bound(
+    before: float, now: float, dwell: float, least: float
+) -> None:
+    found = float(given_up(*(jnp.asarray(x, jnp.float32) for x in (dwell, before, now, least))))
+    share = math.exp(-dwell / 3.0)
+    # Where it is neither clearly above nor clearly below, rounding decides.
+    if min(abs(before * share - least), abs(now * share - least)) > 1e-4 * least:
+        falls = before * share >= least > now * share
+        assert found == pytest.approx(dwell + 6.0 * falls, rel=1e-6)
+
+
+@jax.jit
+def given_up(dwell, before, now, least):
+    return with_given_up(dwell, before, now, least, jnp.asarray(3.0))
 
 
 def test_little_information_comes_last_however_near() -> None:

@@ -18,12 +18,13 @@ from jaxplore import (
     Perception,
 )
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.gain import Gain
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.simulation.exploration.finish import Gain, default_give_up_after
+from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import _initial_task, copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import Run, record_run, simulate

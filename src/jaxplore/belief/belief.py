@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from jaxplore._types import Flag, GridValues, Pose, Scalar
 from jaxplore.belief.anomalies import Anomalies
 from jaxplore.belief.dwell import dwell_discount
+from jaxplore.belief.gain import Gain
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.recognition import ObjectClasses
@@ -61,6 +62,7 @@ class Belief(eqx.Module):
             loop would tell it much of its position [nat].
         claims: (rows, columns) additional cost of each node as the end of a path, because other
             robots claim it [m]; absent for a robot without a fleet.
+        gain: when the known share of the map last rose; absent if the robot knows its pose.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -81,6 +83,7 @@ class Belief(eqx.Module):
     position_variance: Scalar | None = None
     revisit: Float[Array, "rows columns"] | None = None
     claims: Float[Array, "rows columns"] | None = None
+    gain: Gain | None = None
 
     @property
     def pull(self) -> ScalarField:

@@ -9,6 +9,8 @@ from jaxplore.maps.window import Window
 
 DWELL_RADIUS = 0.5
 """Standard deviation of the Gaussian around the robot in which time counts as spent there [m]."""
+GIVEN_UP = 2.0
+"""Dwell time that is added where a place is given up, in units of the patience."""
 REACH = 8.0
 """Standard deviations beyond which no time is added: it would be less than 1e-13 of the time."""
 
@@ -42,6 +44,30 @@ def add_dwell(
     dwell = dwell * jnp.exp(-elapsed / memory)
     # A lost robot has no finite pose. A NaN would stay in the dwell times of all later updates.
     return window.write(dwell, window.read(dwell) + jnp.where(jnp.isfinite(stay), stay, 0.0))
+
+
+def with_given_up(
+    dwell: Float[Array, "*N"],
+    before: Float[Array, "*N"],
+    information: Float[Array, "*N"],
+    min_information: Scalar,
+    patience: Scalar,
+) -> Float[Array, "*N"]:
+    """Return the dwell time, longer where looks have taken away the worth of a place [s].
+
+    `GIVEN_UP` times the patience is added where the discounted information was at least
+    `min_information` at the last update and is less now.
+
+    Args:
+        dwell: dwell time [s].
+        before: information of a scan from each node at the last update [nat].
+        information: the information now [nat].
+        min_information: information below which a place comes last [nat].
+        patience: dwell time after which the discount is 1/e [s].
+    """
+    least = min_information / dwell_discount(dwell, patience)
+    is_given_up = (before >= least) & (information < least)
+    return jnp.where(is_given_up, dwell + GIVEN_UP * patience, dwell)
 
 
 def dwell_discount(dwell: Float[Array, "*N"], patience: Scalar) -> Float[Array, "*N"]:

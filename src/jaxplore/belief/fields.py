@@ -9,7 +9,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import Flag, GridValues, Pose, Position, Scalar
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.dwell import add_dwell, dwell_discount
+from jaxplore.belief.dwell import add_dwell, dwell_discount, with_given_up
 from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
@@ -74,7 +74,15 @@ class BeliefFields(eqx.Module):
         # What objects add is in the last field, and an update would keep it.
         before = belief.information if belief.objects is None else None
         information = self._information(belief.grid, belief.idleness, before)
-        return dataclasses.replace(belief, information=information)
+        dwell = belief.dwell
+        if belief.gain is not None:
+            looks = belief.information.total, information.total
+            left = with_given_up(dwell, *looks, self.min_information, self.patience)
+            # Scans from poses with errors contradict each other at walls: from one place the robot
+            # sees through a thin wall, from the next one it does not. It would forget each view at
+            # the other, and go to and fro between both for ever.
+            dwell = jnp.where(belief.gain.since >= self.memory, left, dwell)
+        return dataclasses.replace(belief, information=information, dwell=dwell)
 
     def guided(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Return the belief with the fields that follow from its information; see `update_fields`.
@@ -92,6 +100,9 @@ class BeliefFields(eqx.Module):
         _checks.shaped("elapsed", elapsed, ())
         information = belief.information
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
+        if belief.gain is not None:
+            known = 1.0 - unknown_fraction(belief.grid)
+            belief = dataclasses.replace(belief, gain=belief.gain.after(known, elapsed))
         return self._derived(belief, information, dwell, pose)
 
     def _derived(

@@ -17,6 +17,7 @@ from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.car import CarMotion
 from jaxplore.belief.fields import BeliefFields
+from jaxplore.belief.gain import Gain
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception_checks import (
     as_scans,
@@ -101,8 +102,11 @@ class Perception(BeliefFields):
         car: how a robot moves that cannot turn on the spot; by default it can.
         anomalies: test for what differs from the prior map; none by default.
         recognition: classes of objects; none by default.
-        is_localising: whether the robot estimates its pose; only for the default of
-            `min_information`.
+        is_localising: whether the robot estimates its pose. It decides the default of
+            `min_information`. When the robot has seen nothing new for `memory`, each place that a
+            look takes below `min_information` counts as one where it has stayed for twice
+            `patience` more. Not so with a watch, anomalies or a recognition, for which places must
+            be seen again.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
@@ -111,6 +115,7 @@ class Perception(BeliefFields):
     """
 
     resolution: float = eqx.field(static=True)
+    gives_up: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -191,6 +196,9 @@ class Perception(BeliefFields):
             raise ValueError("goal is None; accepted: a position, for a goal apart")
         self.is_goal_apart = is_goal_apart
         self.is_batched = False
+        # What must be seen again is not given up.
+        is_revisiting = any(each is not None for each in (watch, anomalies, recognition))
+        self.gives_up = is_localising and not is_revisiting
 
     def for_batches(self) -> "Perception":
         """Return a copy for use under `jax.vmap`, which recomputes fields instead of updating them.
@@ -218,6 +226,7 @@ class Perception(BeliefFields):
         idleness = None if self.watch is None else self.watch.init(grid.shape)
         information = self._information(grid, idleness, None)
         dwell = jnp.zeros_like(information.total)
+        nothing = jnp.zeros(())
         guidance, is_explored = self._guided(grid, clearance, information, dwell, pose)
         return Belief(
             grid,
@@ -233,6 +242,7 @@ class Perception(BeliefFields):
             None,
             idleness,
             anomalies,
+            gain=Gain(nothing, nothing) if self.gives_up else None,
         )
 
     def standing(self, grid: OccupancyGrid, pose: Pose) -> OccupancyGrid:

@@ -1,7 +1,6 @@
 """When an exploration is finished or given up, and what counts then."""
 
 import math
-from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -12,30 +11,8 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
 
-LEAST_GAIN = 1e-3
-"""Rise of the coverage that counts as progress: noise at walls makes smaller ones for ever."""
 PATIENCE = 60.0
 """Time without progress beyond that of a drive across the map and back [s]."""
-
-
-class Gain(NamedTuple):
-    """The last progress of an exploration.
-
-    Args:
-        coverage: coverage at that time.
-        since: time since then [s].
-    """
-
-    coverage: Scalar
-    since: Scalar
-
-    def after(self, coverage: Scalar, period: Scalar) -> "Gain":
-        """Return the last progress one period [s] later, with the coverage of that time."""
-        is_more = coverage >= self.coverage + LEAST_GAIN
-        return Gain(
-            jnp.where(is_more, coverage, self.coverage),
-            jnp.where(is_more, 0.0, self.since + period),
-        )
 
 
 def default_give_up_after(world: OccupancyGrid, robot: Dynamics) -> float:

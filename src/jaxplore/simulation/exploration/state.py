@@ -10,11 +10,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import Count, GridMask, Pose, StateVector
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
-from jaxplore.simulation.exploration.finish import Gain
 from jaxplore.simulation.exploration.located import Located
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.progress import MapSums, map_progress

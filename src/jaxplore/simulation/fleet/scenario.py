@@ -14,6 +14,7 @@ from jaxplore._describe import describe_fields
 from jaxplore._trees import HostOnly, with_field
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Rows, Scalar, StateVector
 from jaxplore._xla import on_device
+from jaxplore.belief.gain import Gain
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.fleet_controller import FleetBelief, robot_keys
 from jaxplore.control.fleet_share import Share, checked_share
@@ -23,7 +24,7 @@ from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.clock import whole_steps
-from jaxplore.simulation.exploration.finish import Gain, has_coverage_target
+from jaxplore.simulation.exploration.finish import has_coverage_target
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from jaxtyping import Array, Float
 
 from jaxplore._types import Count, Scalar, StateVector
-from jaxplore.simulation.exploration.finish import Gain
+from jaxplore.belief.gain import Gain
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.radio import Heard
 

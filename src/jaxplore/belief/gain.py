@@ -1,0 +1,30 @@
+"""Tell how long ago something new was seen."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxplore._types import Flag, Scalar
+
+LEAST_GAIN = 1e-3
+"""Rise of a share that counts as progress: noise at walls makes smaller ones for ever."""
+
+
+class Gain(NamedTuple):
+    """The last progress of an exploration.
+
+    Args:
+        share: share of the map that was known at that time.
+        since: time since then [s].
+    """
+
+    share: Scalar
+    since: Scalar
+
+    def after(self, share: Scalar, period: Scalar) -> "Gain":
+        """Return the last progress one period [s] later, with the share of that time."""
+        is_more: Flag = share >= self.share + LEAST_GAIN
+        return Gain(
+            jnp.where(is_more, share, self.share),
+            jnp.where(is_more, 0.0, self.since + period),
+        )
