@@ -62,7 +62,8 @@ class Belief(eqx.Module):
             loop would tell it much of its position [nat].
         claims: (rows, columns) additional cost of each node as the end of a path, because other
             robots claim it [m]; absent for a robot without a fleet.
-        gain: when the known share of the map last rose; absent if the robot knows its pose.
+        gain: when the known share of the map last rose; absent if the robot knows its pose, or must
+            see places again, as on a patrol.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]

@@ -67,6 +67,9 @@ class BeliefFields(eqx.Module):
     def informed(self, belief: Belief) -> Belief:
         """Return the belief with the information field of its map; see `update_fields`.
 
+        Places that looks take away are given up if nothing new was seen for `memory`, where the
+        belief has a `gain`.
+
         Raises:
             ValueError: something else than a belief.
         """
