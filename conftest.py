@@ -67,6 +67,8 @@ with install_import_hook("jaxplore", "beartype.beartype"):
     for name in dir(jaxplore):
         getattr(jaxplore, name)
 
+pytest_plugins = ("tests.suite.programs",)
+
 documents = Sybil(
     parsers=[PythonCodeBlockParser()],
     patterns=["README.md", "docs/*.md"],
