@@ -188,6 +188,22 @@ def test_false_alarms_keep_the_stated_rate_over_ten_thousand_scans() -> None:
     assert (per_scan > 1e-3).all()
 
 
+@pytest.mark.parametrize("zones", [[], [ZONE], [ZONE, (0.0, 0.0, 1.02, 0.92)]])
+def test_the_threshold_counts_every_test(zones) -> None:
+    """One test a cell, and one more a free cell of a forbidden zone: log(tests / false_alarms)."""
+    world = hall((slice(26, 30), slice(16, 24)))
+    probability = np.asarray(world.probability)
+    rows, columns = np.indices(probability.shape)
+    x, y = (columns + 0.5) * world.resolution, (rows + 0.5) * world.resolution
+    is_forbidden = np.zeros(probability.shape, bool)
+    for left, bottom, right, top in zones:
+        is_forbidden |= (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
+    tests = probability.size + int((is_forbidden & (probability < 0.5)).sum())
+    assert tests > probability.size or not zones
+    threshold = AnomalyTest(false_alarms=1e-3, forbidden=zones).init(world).threshold
+    assert float(threshold) == pytest.approx(math.log(tests / 1e-3), rel=1e-6)
+
+
 TRACK = rows_of([(1.0 + 0.02 * k, 1.2, 0.0) for k in range(60)])
 AWAY = jnp.array([1.0, 3.2, 0.0])
 """Nobody: a disc of radius 0 is ignored."""

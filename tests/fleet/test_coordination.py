@@ -1,7 +1,9 @@
 """Claims and assignments agree with computations by other means."""
 
+import inspect
 import itertools
 import math
+import types
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,13 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxplore import OccupancyGrid
+from jaxplore.belief.belief import Belief
 from jaxplore.belief.claims import claim_cost, trust_in
+from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.assignment import (
+    ELSEWHERE,
     NO_WAY,
     assigned,
     cluster_costs,
     frontier_clusters,
+    with_assignments,
 )
+from jaxplore.simulation.fleet.radio import Heard
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -111,3 +119,34 @@ def test_clusters_are_the_free_cells_beside_unknown_ones() -> None:
     found = cluster_costs(lengths, [first, second], 2)
     np.testing.assert_array_equal(found, [[3.0, 2.0], [7.0, np.inf]])
     assert cluster_costs(lengths, [], 2).shape == (2, 0)
+
+
+def test_each_robot_is_led_to_the_cluster_that_is_assigned_to_it() -> None:
+    """A corridor with a frontier at each end: the robot near an end is sent there, whatever its
+    place in the fleet, and also where it has not heard of the others."""
+    cells = np.full((12, 60), 0.99, np.float32)
+    cells[3:9, 3:57] = 0.01
+    cells[3:9, :3] = cells[3:9, 57:] = 0.5
+    grid = OccupancyGrid(cells, 0.1)
+    stride, shape = 2, (6, 30)
+    x = np.broadcast_to(np.arange(30) * 0.2, shape)
+    # Robots at the right end, at the left one, and in the middle.
+    lengths = np.stack([6.0 - x, x, np.abs(x - 3.0)]).astype(np.float32)
+    scenario = types.SimpleNamespace(
+        perception=types.SimpleNamespace(field_sensor=types.SimpleNamespace(stride=stride))
+    )
+    state = ExplorationState(*[None] * 9)._replace(belief=Belief(grid=grid))
+    for places in ((0, 1, 2), (1, 0), (0,), (1,)):
+        heard = Heard(
+            jnp.zeros((3, 3, *grid.shape)),
+            jnp.asarray(np.broadcast_to(lengths, (3, *lengths.shape))),
+            jnp.ones((3, 3), jnp.int32),
+        )
+        assign = inspect.unwrap(with_assignments)
+        given = [scenario] * len(places), [state] * len(places), places, heard
+        claims = [np.asarray(each.belief.claims) for each in assign(*given)]
+        for place, claim in zip(places, claims, strict=True):
+            # The third robot finds no cluster left, and is free to go anywhere.
+            is_away = claim[2:4] == ELSEWHERE
+            assert is_away[:, :3].all() == is_away[:, :3].any() == (place == 0)
+            assert is_away[:, -3:].all() == is_away[:, -3:].any() == (place == 1)

@@ -57,6 +57,32 @@ def test_each_viewpoint_has_the_information_of_its_rays(stride: int, sensor) -> 
             assert found[(sector, *node)] == pytest.approx(wanted, rel=2e-3, abs=1e-4)
 
 
+def test_each_sector_is_around_its_azimuth() -> None:
+    ways, size = band(SECTORS, ELEVATIONS, *EDGES)
+    np.testing.assert_allclose(np.linalg.norm(ways, axis=0), 1.0)
+    x, y, z = ways.reshape(3, SECTORS, ELEVATIONS)
+    # The turn from a sector's middle, (a + 1/2) 2 pi / A.
+    middle = 2.0 * math.pi * (np.arange(SECTORS)[:, None] + 0.5) / SECTORS
+    np.testing.assert_allclose(x * np.cos(middle) + y * np.sin(middle), np.hypot(x, y))
+    low, high = np.sin(EDGES)
+    np.testing.assert_allclose(z, np.tile(low + (high - low) * np.array([1, 3, 5]) / 6, (6, 1)))
+    assert size == pytest.approx(2.0 * math.pi * (high - low) / (SECTORS * ELEVATIONS))
+
+
+def test_what_is_unknown_on_one_side_informs_the_sector_of_that_side() -> None:
+    """Four sectors are the quadrants: unknown space at x and y above the viewpoint is in the first."""
+    table = VoxelTable(4, 3, -0.3, 0.3, LENGTH, 1)
+    for sector, (rows, columns) in enumerate(itertools.product((slice(9, None), slice(8)), (0, 1))):
+        volume = np.zeros(SHAPE, np.float32)
+        east = columns == 0 if sector < 2 else columns == 1
+        volume[:, rows, slice(11, None) if east else slice(10)] = 0.5
+        found = np.asarray(
+            found_in(table, jnp.asarray(volume), (4, 8, 10), (1, 1, 1), InverseSensorModel())
+        ).ravel()
+        assert found[sector] > 1.0
+        np.testing.assert_allclose(np.delete(found, sector), 0.0, atol=1e-5)
+
+
 def test_in_free_space_the_weights_add_up_to_the_volume() -> None:
     # All voxels are unknown, and none stops a ray: the information is the volume in sight.
     table = VoxelTable(16, 8, -0.5, 0.5, 12.0, 1)
