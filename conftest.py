@@ -150,6 +150,23 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Together(config, log)
 
 
+LONG = "pytestmark = pytest.mark.long"
+"""The line of a file of tests that compiles much, or starts programs that do."""
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave files of the other layer unread: to import them all takes half a minute.
+
+    The documents are of the long layer, but for README.md.
+    """
+    if config.option.markexpr not in ("long", "not long") or collection_path.is_dir():
+        return None
+    is_long = collection_path.suffix == ".md" and collection_path.name != "README.md"
+    if collection_path.suffix == ".py":
+        is_long = f"\n{LONG}\n" in collection_path.read_text(encoding="utf-8")
+    return True if is_long != (config.option.markexpr == "long") else None
+
+
 class DocumentItem(pytest.Item):
     """All blocks of one document, in order."""
 
@@ -171,7 +188,10 @@ class DocumentFile(pytest.File):
     def collect(self) -> Iterator[DocumentItem]:
         """Yield the document as one test."""
         if any(documents.parse(self.path).examples()):
-            yield DocumentItem.from_parent(self, name="python blocks")
+            item = DocumentItem.from_parent(self, name="python blocks")
+            if self.path.name != "README.md":
+                item.add_marker(pytest.mark.long)
+            yield item
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> DocumentFile | None:

@@ -70,12 +70,12 @@ def test_each_sector_is_around_its_azimuth() -> None:
 
 
 def test_what_is_unknown_on_one_side_informs_the_sector_of_that_side() -> None:
-    """Four sectors are the quadrants: unknown space at x and y above the viewpoint is in the first."""
+    """Four sectors are the four quadrants around the viewpoint, counter-clockwise from x and y."""
     table = VoxelTable(4, 3, -0.3, 0.3, LENGTH, 1)
-    for sector, (rows, columns) in enumerate(itertools.product((slice(9, None), slice(8)), (0, 1))):
+    west, east, south, north = slice(10), slice(11, None), slice(8), slice(9, None)
+    for sector, (x, y) in enumerate([(east, north), (west, north), (west, south), (east, south)]):
         volume = np.zeros(SHAPE, np.float32)
-        east = columns == 0 if sector < 2 else columns == 1
-        volume[:, rows, slice(11, None) if east else slice(10)] = 0.5
+        volume[:, y, x] = 0.5
         found = np.asarray(
             found_in(table, jnp.asarray(volume), (4, 8, 10), (1, 1, 1), InverseSensorModel())
         ).ravel()
