@@ -68,14 +68,17 @@ class FileCost:
 
 
 class Count:
-    """Counts in one process; the process that started the workers adds theirs."""
+    """Counts in one process; the process that started the workers adds theirs.
+
+    Attributes:
+        files: cost of each file of tests.
+        compiled: programs of the test that runs, by their keys.
+    """
 
     def __init__(self) -> None:
         self.files: dict[str, FileCost] = defaultdict(FileCost)
-        self.fixed = 0.0
-        self._file = ""
         self._compiling = 0.0
-        self._programs: dict[str, Program] = {}
+        self.compiled: dict[str, Program] = {}
 
     def watch(self) -> None:
         """Wrap the two functions of JAX that see each program: there is no public way."""
@@ -88,7 +91,7 @@ class Count:
 
         def keyed(module: Any, *arguments: Any, **options: Any) -> str:
             key = key_of(module, *arguments, **options)
-            self._programs[key] = _describe(module)
+            self.compiled[key] = _describe(module)
             return key
 
         def timed(*arguments: Any, **options: Any) -> Any:
@@ -110,7 +113,7 @@ class Count:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         """Count what one test takes, with its fixtures and its child processes."""
-        self._programs, self._compiling = {}, 0.0
+        self.compiled, self._compiling = {}, 0.0
         began = _cpu_seconds()
         try:
             return (yield)
@@ -118,7 +121,7 @@ class Count:
             cost = self.files[item.nodeid.split("::")[0]]
             cost.seconds += _cpu_seconds() - began
             cost.compiling += self._compiling
-            cost.programs |= self._programs
+            cost.programs |= self.compiled
             cost.is_long |= item.get_closest_marker("long") is not None
 
     @pytest.hookimpl(trylast=True)
