@@ -206,7 +206,9 @@ def _weighting(problem: Problem, sizes: Sizes) -> Rows:
     adapting = GaussianProposal(problem["noise_std"], adaptation=CovarianceAdaptation())
     variants: dict[str, dict[str, Any]] = {
         "softmax": {},
-        "softmax at an effective sample size": {"weighting": AdaptiveSoftmax(sizes.samples / 10)},
+        "softmax at an effective sample size": {
+            "weighting": AdaptiveSoftmax(max(1.0, sizes.samples / 10))
+        },
         "elite": {"weighting": Elite()},
         "elite and adapting covariance (CEM)": {"weighting": Elite(), "proposal": adapting},
     }
