@@ -1,4 +1,4 @@
-"""The controller: against its peers, how it grows, its parts, two devices, a million steps."""
+"""The controller: against its peers, how it grows, its parts, two devices, a long run."""
 
 import json
 import math
@@ -65,7 +65,7 @@ class Sizes(NamedTuple):
     device_samples: tuple[int, ...] = (1024, 4096, 16384)
     runs: int = 200
     variants: tuple[str, ...] = ("plain", "smooth", "kernel")
-    endurance_steps: int = 1_000_000
+    endurance_steps: int = 100_000
 
 
 FULL = Sizes()

@@ -60,6 +60,7 @@ class Sizes(NamedTuple):
     which the compilation is timed."""
 
     changes: Mapping[str, Any] = {}
+    architectures: tuple[str, ...] = ARCHITECTURES
     turns: int = 3
     steps: int = 200
     flown: int = 100
@@ -73,6 +74,7 @@ SMOKE = Sizes(
         "informative": {"num_samples": 8, "horizon": 4, "field_beams": 4, "local_beams": 4},
         "time_limit": 0.5,
     },
+    architectures=("two-layer",),
     turns=1,
     steps=CHUNK,
     flown=0,
@@ -92,7 +94,7 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
     uncached = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
     compiled = in_own_processes(__spec__.name, [[name] for name in sizes.compiled], uncached)
     spent = {row["architecture"]: row["compile_seconds"] for row in compiled}
-    loops = {name: _Loop(name, sizes.changes, sizes.steps) for name in ARCHITECTURES}
+    loops = {name: _Loop(name, sizes.changes, sizes.steps) for name in sizes.architectures}
     with tempfile.TemporaryDirectory() as folder:
         about, theirs = _take_turns(loops, Path(folder), sizes)
     rows = [
@@ -270,18 +272,16 @@ def _parts(loops: dict[str, _Loop], sizes: Sizes) -> Rows:
     return list(rows.values())
 
 
-def _ratios(
-    two_layer: dict[str, Any], parallel: dict[str, Any], peer: dict[str, Any]
-) -> list[dict[str, Any]]:
-    """How many times as long the peer takes, for all that both have."""
-    ours = {"two_layer": two_layer, "parallel": parallel}
+def _ratios(*rows: dict[str, Any]) -> Rows:
+    """How many times as long the peer, the last row, takes, for all that both have."""
+    *ours, peer = rows
     return [
         {
             "": f"jax_mppi, {name}",
-            **{f"times_as_long_as_{key}": theirs / row[name] for key, row in ours.items()},
+            **{f"times_as_long_as_{row['']}": theirs / row[name] for row in ours},
         }
         for name, theirs in peer.items()
-        if isinstance(theirs, float) and isinstance(two_layer[name], float)
+        if isinstance(theirs, float) and all(isinstance(row[name], float) for row in ours)
     ]
 
 

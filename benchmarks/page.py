@@ -12,7 +12,7 @@ from benchmarks.history import Results
 from benchmarks.tables import markdown
 
 PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
-MARKED = re.compile(r"(<!-- table: (\w+) (\w+)(?:: (.*))? -->\n).*?(\n<!-- end -->)", re.DOTALL)
+MARKED = re.compile(r"(<!-- table: (\w+) (\w+)(?:: (.*?))? -->\n).*?(\n<!-- end -->)", re.DOTALL)
 
 
 def rewritten(text: str, results: Results) -> str:

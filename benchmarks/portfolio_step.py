@@ -14,19 +14,19 @@ CHUNK = 50
 
 
 class Sizes(NamedTuple):
-    """Numbers of members, samples and horizon of each, steps, those before the parts are timed, and
-    timed calls."""
+    """Numbers of members, samples and horizon of each, steps, the number of members whose parts are
+    timed, and timed calls."""
 
     counts: tuple[int, ...] = (1, 2, 4, 8)
     samples: int = 1000
     horizon: int = 30
     steps: int = 2000
-    before_parts: int = 250
+    parts_of: int = 4
     runs: int = 200
 
 
 FULL = Sizes()
-SMOKE = Sizes((1,), 8, 4, 0, CHUNK, 3)
+SMOKE = Sizes((1,), 8, 4, 0, 1, 3)
 TITLES = {
     "members": "A portfolio's step in the warehouse by members: K = 1000, T = 30, 360 beams",
     "parts": "The same, part by part, four members",
@@ -35,22 +35,23 @@ TITLES = {
 
 def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of the warehouse's step."""
-    return {"members": _members(sizes), "parts": _parts(sizes)}
-
-
-def _members(sizes: Sizes) -> Rows:
-    """Return times of the step, everything in it, by number of members.
-
-    The numbers take turns, so that all see the same noise of the machine.
-    """
     loops: dict[int, TimedLoop] = {}
     for count in sizes.counts:
         weights = {f"{ROLES[n % 4]} {n}": _weights(ROLES[n % 4]) for n in range(count)}
         changes = {"num_samples": sizes.samples, "horizon": sizes.horizon}
         made = experiment("warehouse", {"weights": weights, **changes})
         loops[count] = TimedLoop(made.controller, made.scenario, made.key, CHUNK)
-    seconds: dict[int, list[float]] = {count: [] for count in sizes.counts}
-    for _ in range(-(-sizes.steps // CHUNK) + 1):
+    members = _members(loops, sizes.steps)
+    return {"members": members, "parts": _parts(loops[sizes.parts_of], sizes.runs)}
+
+
+def _members(loops: dict[int, TimedLoop], steps: int) -> Rows:
+    """Return times of the step, everything in it, by number of members.
+
+    The numbers take turns, so that all see the same noise of the machine.
+    """
+    seconds: dict[int, list[float]] = {count: [] for count in loops}
+    for _ in range(-(-steps // CHUNK) + 1):
         for count, loop in loops.items():
             seconds[count].extend(loop.run(1) for _ in range(CHUNK))
     # The first chunk warms up, unless it is all there is.
@@ -62,15 +63,10 @@ def _members(sizes: Sizes) -> Rows:
     return [{**row, "times one": row["p50_ms"] / first, "Hz": 1e3 / row["p50_ms"]} for row in rows]
 
 
-def _parts(sizes: Sizes) -> Rows:
+def _parts(loop: TimedLoop, runs: int) -> Rows:
     """Return times of the parts of the warehouse's step, one call at a time."""
-    changes = {"num_samples": sizes.samples, "horizon": sizes.horizon}
-    controller, scenario, _, key = experiment("warehouse", changes)
+    controller, scenario, state, key = loop.controller, loop.scenario, loop.state, loop.key
     assert isinstance(scenario, ExplorationScenario)
-    loop = TimedLoop(controller, scenario, key, CHUNK)
-    for _ in range(sizes.before_parts // CHUNK):
-        loop.run(CHUNK)
-    controller, state = loop.controller, loop.state
     belief, pose = state.task.belief, state.task.belief.pose
     scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     elapsed = jnp.asarray(0.2)
@@ -98,7 +94,7 @@ def _parts(sizes: Sizes) -> Rows:
             elapsed,
         ),
     }
-    return [{"": name, **timed(*call, runs=sizes.runs).row()} for name, call in calls.items()]
+    return [{"": name, **timed(*call, runs=runs).row()} for name, call in calls.items()]
 
 
 def _weights(role: str) -> dict[str, float]:

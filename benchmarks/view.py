@@ -3,7 +3,7 @@
 import contextlib
 import multiprocessing
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -20,21 +20,23 @@ from jaxplore.simulation.monitor import Monitor, Update
 from jaxplore.simulation.run import simulate
 from jaxplore.view import LiveView
 
+TRACK: dict[str, Any] = {"path": "track", "laps": 5, "obstacles": {"number": 5}}
+
 
 class Sizes(NamedTuple):
-    """A site, changes of its explorer, the track's entries of settings, numbers of pages, steps of
+    """A site, changes of its explorer, entries of further tasks by name, numbers of pages, steps of
     a run, and how often one with a view and one without take turns."""
 
     site: Site = available_sites()[0]
-    changes: dict[str, Any] = {}  # noqa: RUF012
-    track: dict[str, Any] = {"laps": 5, "obstacles": {"number": 5}}  # noqa: RUF012
+    changes: Mapping[str, Any] = {}
+    others: Mapping[str, dict[str, Any]] = {"track, 5 obstacles": TRACK}
     pages: tuple[int, ...] = (0, 1)
     run_steps: int = 1500
-    pairs: int = 11
+    pairs: int = 5
 
 
 FULL = Sizes()
-SMOKE = Sizes(SMALL_OFFICE, SMALL, {"controller": {"num_samples": 8, "horizon": 4}}, (1,), 25, 1)
+SMOKE = Sizes(SMALL_OFFICE, SMALL, {}, (1,), 25, 1)
 TITLES = {"runs": "A live view, in times as long as a run without one"}
 
 
@@ -55,10 +57,10 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
     Runs with and without a view take turns in one process, and the ratio is the median over pairs:
     what else the machine does slows both.
     """
-    explorer = experiment(sizes.site, **sizes.changes)
-    track = build(make_settings({"path": "track", **sizes.track}))
+    tasks = {sizes.site.name: experiment(sizes.site, **sizes.changes)}
+    tasks |= {name: build(make_settings(entries)) for name, entries in sizes.others.items()}
     rows = []
-    for name, made in ((sizes.site.name, explorer), ("track, 5 obstacles", track)):
+    for name, made in tasks.items():
         for number in sizes.pages:
             times = _ratio(made, sizes.run_steps, sizes.pairs, number)
             rows.append({"run": name, "view": f"pages: {number}", **times})
