@@ -2,7 +2,6 @@
 
 import argparse
 import platform
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
@@ -42,7 +41,7 @@ class Section(Protocol):
 
     FULL: Any
     SMOKE: Any
-    TITLES: Mapping[str, str]
+    TITLES: dict[str, str]
 
     def measure(self, sizes: Any) -> dict[str, Rows]:
         """Measure, and return tables by name."""
