@@ -1,13 +1,12 @@
-"""The controller: against its peers, how it grows, its parts, two devices, a million steps."""
+"""The controller: against its peers, how it grows, its parts, two devices, a long run."""
 
 import json
 import math
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,6 +18,7 @@ from jaxtyping import Array
 from benchmarks import control_peers
 from benchmarks.control_problems import (
     KEY,
+    Problem,
     ToGoal,
     build,
     map_problem,
@@ -26,7 +26,8 @@ from benchmarks.control_problems import (
     step,
     timed_step,
 )
-from benchmarks.timing import Timed, timed
+from benchmarks.tables import Rows
+from benchmarks.timing import Timed, in_own_processes, percentiles, timed
 from jaxplore import (
     MPPI,
     RK4,
@@ -48,34 +49,80 @@ from jaxplore.control import (
 )
 
 
-def measure(endurance_steps: int = 1_000_000) -> dict[str, Any]:
-    """Return tables of times.
+class Sizes(NamedTuple):
+    """Samples, horizons and runs of the tables."""
 
-    Args:
-        endurance_steps: control steps of the run that memory is watched over.
-    """
+    samples: int = 1000
+    horizon: int = 40
+    power_of_two: int = 1024
+    map_samples: tuple[int, ...] = (1024, 2048)
+    map_horizon: int = 100
+    cell: float = 0.05
+    grown_samples: tuple[int, ...] = (256, 1024, 4096, 16384)
+    grown_horizons: tuple[int, ...] = (10, 20, 40, 80, 160)
+    fleets: tuple[int, ...] = (1, 2, 4, 8, 16)
+    commands: int = 1000
+    device_samples: tuple[int, ...] = (1024, 4096, 16384)
+    runs: int = 200
+    variants: tuple[str, ...] = ("plain", "smooth", "kernel")
+    endurance_steps: int = 100_000
+
+
+FULL = Sizes()
+SMOKE = Sizes(
+    samples=8,
+    horizon=4,
+    power_of_two=8,
+    map_samples=(8,),
+    map_horizon=4,
+    cell=0.2,
+    grown_samples=(8,),
+    grown_horizons=(4,),
+    fleets=(2,),
+    commands=3,
+    device_samples=(8,),
+    runs=4,
+    variants=("plain",),
+    endurance_steps=20,
+)
+TITLES = {
+    "peers": "A command, and its peers'",
+    "on_a_map": "A differential drive on a map of costs",
+    "growth": "Growth",
+    "fleet": "Several controllers in one call",
+    "noise": "Sources of noise",
+    "weighting": "Weightings",
+    "feedback": "Feedback",
+    "devices": "Two CPU devices",
+    "endurance": "Endurance",
+}
+
+
+def measure(sizes: Sizes) -> dict[str, Rows]:
+    """Return the tables."""
+    on_maps = [map_problem(k, sizes.map_horizon, sizes.cell) for k in sizes.map_samples]
+    quadrotor = quadrotor_problem(sizes.samples, sizes.horizon)
     return {
-        "peers": control_peers.measure(),
-        "on_a_map": _on_a_map(),
-        "growth": _growth(),
-        "fleet": _fleet(),
-        "noise": _noise(),
-        "weighting": _weighting(),
-        "feedback": _feedback(),
-        "devices": _devices(),
-        "endurance": _endurance(endurance_steps),
+        "peers": control_peers.measure(quadrotor, on_maps, sizes.variants, sizes.runs),
+        "on_a_map": _on_a_map(on_maps, sizes),
+        "growth": _growth(sizes),
+        "fleet": _fleet(quadrotor, sizes),
+        "noise": _noise(sizes),
+        "weighting": _weighting(quadrotor, sizes),
+        "feedback": _feedback(quadrotor, sizes),
+        "devices": _devices(sizes),
+        "endurance": _endurance(sizes.endurance_steps),
     }
 
 
-def _on_a_map() -> list[dict[str, Any]]:
-    """A differential drive on a cost map, 100 steps, with both integrators and two noises.
+def _on_a_map(problems: list[Problem], sizes: Sizes) -> Rows:
+    """A differential drive on a cost map, with both integrators and two noises.
 
     For nav2 (C++, Euler steps) the paper on MPPI-Generic (arXiv 2409.07563) gives 3.4 and 6.7 ms,
     on its own problem and machine.
     """
     rows = []
-    for samples in (1024, 2048):
-        problem = map_problem(samples)
+    for problem in problems:
         variants: dict[str, dict[str, Any]] = {
             "Euler": {"integrator": Euler()},
             "Euler, Sobol noise": {
@@ -85,18 +132,22 @@ def _on_a_map() -> list[dict[str, Any]]:
             "RK4": {"integrator": RK4()},
         }
         for name, changes in variants.items():
-            took = timed_step(build(problem, **changes), problem["start"])
-            rows.append(_growth_row(f"K = {samples}, T = 100, {name}", took, samples, 100))
+            took = timed_step(build(problem, **changes), problem["start"], sizes.runs)
+            samples, horizon = problem["num_samples"], problem["horizon"]
+            rows.append(
+                _growth_row(f"K = {samples}, T = {horizon}, {name}", took, samples, horizon)
+            )
     return rows
 
 
-def _growth() -> list[dict[str, Any]]:
+def _growth(sizes: Sizes) -> Rows:
     """A command of a quadrotor with more samples and with longer horizons."""
     rows = []
-    sizes = [(samples, 40) for samples in (256, 1024, 4096, 16384)]
-    for samples, horizon in [*sizes, *((1024, horizon) for horizon in (10, 20, 40, 80, 160))]:
+    with_more = [(samples, sizes.horizon) for samples in sizes.grown_samples]
+    longer = [(sizes.power_of_two, horizon) for horizon in sizes.grown_horizons]
+    for samples, horizon in with_more + longer:
         problem = quadrotor_problem(samples, horizon)
-        took = timed_step(build(problem), problem["start"], runs=100)
+        took = timed_step(build(problem), problem["start"], sizes.runs // 2)
         rows.append(_growth_row(f"K = {samples}, T = {horizon}", took, samples, horizon))
     return rows
 
@@ -104,37 +155,35 @@ def _growth() -> list[dict[str, Any]]:
 def _growth_row(name: str, took: Timed, rollouts: int, horizon: int) -> dict[str, Any]:
     return {
         "": name,
-        "ms": took.p50_ms,
-        "p99_ms": took.p99_ms,
+        **took.row(),
         "thousand_rollouts_per_s": rollouts / took.p50_ms,
         "ns_per_step_of_a_rollout": 1e6 * took.p50_ms / (rollouts * horizon),
     }
 
 
-def _fleet() -> list[dict[str, Any]]:
+def _fleet(problem: Problem, sizes: Sizes) -> Rows:
     """Commands of several controllers in one compiled call: all at once, and one after another."""
-    problem = quadrotor_problem()
     controller, rows = build(problem), []
     samples, horizon = controller.num_samples, controller.horizon
 
     def one_by_one(controller: MPPI, *arguments: Any) -> Any:
         return jax.lax.map(lambda one: step(controller, *one), arguments)
 
-    for count in (1, 2, 4, 8, 16):
+    for count in sizes.fleets:
         states = jax.vmap(lambda _: controller.init())(jnp.arange(count))
         starts = problem["start"] + 0.1 * jnp.arange(count, dtype=jnp.float32)[:, None]
         arguments = (controller, states, starts, jax.random.split(KEY, count))
         together = jax.vmap(step, in_axes=(None, 0, 0, 0))
         for name, function in (("vmap", together), ("lax.map", one_by_one)):
-            took = timed(function, *arguments, runs=50)
+            took = timed(function, *arguments, runs=sizes.runs // 4)
             title = f"{count} controllers by {name}, K = {samples}, T = {horizon}"
             rows.append(_growth_row(title, took, count * samples, horizon))
     return rows
 
 
-def _noise() -> list[dict[str, Any]]:
+def _noise(sizes: Sizes) -> Rows:
     """A command with noise from each source; K is a power of two, as Sobol points want it."""
-    problem = quadrotor_problem(1024)
+    problem = quadrotor_problem(sizes.power_of_two, sizes.horizon)
     shape = (problem["horizon"], len(problem["noise_std"]), problem["num_samples"])
     rows = []
     for name, noise in {
@@ -145,35 +194,34 @@ def _noise() -> list[dict[str, Any]]:
         "bank of 16 draws": NoiseBank(shape, key=KEY),
     }.items():
         proposal = GaussianProposal(problem["noise_std"], noise=noise)
-        took = timed_step(build(problem, proposal=proposal), problem["start"])
-        drawn = timed(lambda source, key: source.draw(shape, key=key), noise, KEY)
-        rows.append(
-            {"": name, "ms": took.p50_ms, "p99_ms": took.p99_ms, "draw_alone_ms": drawn.p50_ms}
-        )
+        took = timed_step(build(problem, proposal=proposal), problem["start"], sizes.runs)
+        drawn = timed(lambda source, key: source.draw(shape, key=key), noise, KEY, runs=sizes.runs)
+        rows.append({"": name, **took.row(), "draw_alone_ms": drawn.p50_ms})
     return rows
 
 
-def _weighting() -> list[dict[str, Any]]:
+def _weighting(problem: Problem, sizes: Sizes) -> Rows:
     """A command with each way of weighing."""
-    problem, rows = quadrotor_problem(), []
+    rows = []
     adapting = GaussianProposal(problem["noise_std"], adaptation=CovarianceAdaptation())
     variants: dict[str, dict[str, Any]] = {
         "softmax": {},
-        "softmax at an effective sample size": {"weighting": AdaptiveSoftmax(100.0)},
+        "softmax at an effective sample size": {
+            "weighting": AdaptiveSoftmax(max(1.0, sizes.samples / 10))
+        },
         "elite": {"weighting": Elite()},
         "elite and adapting covariance (CEM)": {"weighting": Elite(), "proposal": adapting},
     }
     for name, changes in variants.items():
-        took = timed_step(build(problem, **changes), problem["start"])
-        rows.append({"": name, "ms": took.p50_ms, "p99_ms": took.p99_ms})
+        took = timed_step(build(problem, **changes), problem["start"], sizes.runs)
+        rows.append({"": name, **took.row()})
     return rows
 
 
-def _feedback() -> list[dict[str, Any]]:
+def _feedback(problem: Problem, sizes: Sizes) -> Rows:
     """Plans with gains, and the commands between plans."""
-    problem = quadrotor_problem()
     planner, start = build(problem), problem["start"]
-    commands = 1000
+    commands = sizes.commands
     controller = FeedbackMPPI(planner, commands_per_plan=1_000_000)
     _, planned, _ = eqx.filter_jit(step)(controller, controller.init(), start, KEY)
 
@@ -186,77 +234,67 @@ def _feedback() -> list[dict[str, Any]]:
         return jax.lax.scan(advance, (state, start), None, length=commands)
 
     gains = timed(
-        lambda c, s, x, k: step_with_gains(c, s, x, key=k), planner, planner.init(), start, KEY
+        lambda c, s, x, k: step_with_gains(c, s, x, key=k),
+        *(planner, planner.init(), start, KEY),
+        runs=sizes.runs,
     )
     rows = {
-        "plan": (timed_step(planner, start), 1),
+        "plan": (timed_step(planner, start, sizes.runs), 1),
         "plan with gains": (gains, 1),
         "command in between, called from Python": (
-            timed(step, controller, planned, start, KEY, runs=1000),
+            timed(step, controller, planned, start, KEY, runs=commands),
             1,
         ),
         "command in between, in a compiled loop": (
-            timed(in_between, controller, planned, start, runs=50),
+            timed(in_between, controller, planned, start, runs=sizes.runs // 4),
             commands,
         ),
     }
     return [
         {
             "": name,
-            "us": 1e3 * took.p50_ms / count,
-            "p99_us": 1e3 * took.p99_ms / count,
+            "commands": count,
+            **took.row(),
             "hertz": 1e3 * count / took.p50_ms,
         }
         for name, (took, count) in rows.items()
     ]
 
 
-def _devices() -> list[dict[str, Any]]:
+def _devices(sizes: Sizes) -> Rows:
     """Samples spread over two CPU devices, in a process that has them, and in one as it comes."""
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.control"],
-        cwd=Path(__file__).parents[1],
-        env={**os.environ, "XLA_FLAGS": flags},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    rows: list[dict[str, Any]] = json.loads(done.stdout.splitlines()[-1])
-    for row in rows:
-        problem = quadrotor_problem(row.pop("samples"))
-        took = timed_step(build(problem), problem["start"], runs=50)
+    cases = [(samples, sizes.horizon, sizes.runs // 4) for samples in sizes.device_samples]
+    rows = in_own_processes(__spec__.name, cases, {"XLA_FLAGS": flags})
+    for row, (samples, horizon, runs) in zip(rows, cases, strict=True):
+        problem = quadrotor_problem(samples, horizon)
+        took = timed_step(build(problem), problem["start"], runs)
         row["process_of_one_device_ms"] = took.p50_ms
     return rows
 
 
-def _over_devices() -> list[dict[str, Any]]:
-    rows = []
+def _over_devices(samples: int, horizon: int, runs: int) -> dict[str, Any]:
     mesh = Mesh(np.asarray(jax.devices()), ("samples",))
-    for samples in (1024, 4096, 16384):
-        problem = quadrotor_problem(samples)
-        start = problem["start"]
-        one, spread = build(problem), build(problem, mesh=mesh)
-        taken: dict[str, list[float]] = {"one": [], "all": []}
-        for _ in range(3):
-            taken["one"].append(timed_step(one, start, runs=30).p50_ms)
-            taken["all"].append(timed_step(spread, start, runs=30).p50_ms)
-        alone, together = (float(np.median(times)) for times in taken.values())
-        controls = [eqx.filter_jit(step)(c, c.init(), start, KEY)[0] for c in (one, spread)]
-        rows.append(
-            {
-                "": f"K = {samples}, T = 40, {mesh.size} devices",
-                "samples": samples,
-                "one_device_ms": alone,
-                "all_devices_ms": together,
-                "times_faster": alone / together,
-                "controls_differ_by": float(jnp.abs(controls[0] - controls[1]).max()),
-            }
-        )
-    return rows
+    problem = quadrotor_problem(samples, horizon)
+    start = problem["start"]
+    one, spread = build(problem), build(problem, mesh=mesh)
+    taken: dict[str, list[float]] = {"one": [], "all": []}
+    for _ in range(3):
+        taken["one"].append(timed_step(one, start, runs).p50_ms)
+        taken["all"].append(timed_step(spread, start, runs).p50_ms)
+    alone, together = (float(np.median(times)) for times in taken.values())
+    controls = [eqx.filter_jit(step)(c, c.init(), start, KEY)[0] for c in (one, spread)]
+    return {
+        "": f"K = {samples}, T = {horizon}, {mesh.size} devices",
+        "one_device_ms": alone,
+        "all_devices_ms": together,
+        "times_faster": alone / together,
+        "controls_differ_by": float(jnp.abs(controls[0] - controls[1]).max()),
+        "repeats": taken["all"],
+    }
 
 
-def _endurance(steps: int) -> list[dict[str, Any]]:
+def _endurance(steps: int) -> Rows:
     """A closed loop in chunks inside compiled loops: memory must not grow, nor traces."""
     chunk = min(10_000, steps)
     chunks, traces = math.ceil(steps / chunk), 0
@@ -285,11 +323,13 @@ def _endurance(steps: int) -> list[dict[str, Any]]:
 
     carry = run(controller, (jnp.zeros(model.state_size), controller.init(), jax.random.key(1)))
     carry[0].block_until_ready()
-    before, began = _resident_mb(), time.perf_counter()
+    before, each = _resident_mb(), []
     for _ in range(chunks):
+        began = time.perf_counter()
         carry = run(controller, carry)
         carry[0].block_until_ready()
-    seconds, after = time.perf_counter() - began, _resident_mb()
+        each.append(time.perf_counter() - began)
+    seconds, after = sum(each), _resident_mb()
     return [
         {
             "": f"{chunks * chunk} steps, K = 64, T = 10, point mass",
@@ -299,6 +339,7 @@ def _endurance(steps: int) -> list[dict[str, Any]]:
             "traces": traces,
             "memory_before_mb": before,
             "memory_after_mb": after,
+            "repeats": percentiles(each)["repeats"],
             "distance_from_goal": math.hypot(float(carry[0][0]) - 1.0, float(carry[0][1]) + 2.0),
         }
     ]
@@ -311,4 +352,4 @@ def _resident_mb() -> float:
 
 
 if __name__ == "__main__":
-    print(json.dumps(_over_devices()))
+    print(json.dumps(_over_devices(*map(int, sys.argv[1:]))))

@@ -1,11 +1,10 @@
 """Commands of ours and of the peers, each in its own environment, on the same problems."""
 
-import dataclasses
 import json
 import os
 import subprocess
-import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,44 +13,58 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.control_problems import Problem, build, map_problem, quadrotor_problem, timed_step
+from benchmarks.control_problems import Problem, build, timed_step
+from benchmarks.timing import Timed, percentiles
 from jaxplore import MPPI, State
 from jaxplore.control import GaussianProposal, NoiseBank
 
 PEERS = Path(__file__).parent / ".peers"
-TORCH_PEER = PEERS / "torch"
+PYTHONS = {
+    "jax_mppi": PEERS / "bin" / "python",
+    "pytorch_mppi": PEERS / "torch" / "bin" / "python",
+    "Faran": PEERS / "faran" / "bin" / "python",
+}
+"""What runs each peer, where `make bench` has set it up."""
 
 
-def measure() -> list[dict[str, Any]]:
+def missing_peers() -> list[str]:
+    """Return the peers that are not set up."""
+    return [name for name, python in PYTHONS.items() if not python.exists()]
+
+
+def measure(
+    quadrotor: Problem, on_maps: list[Problem], variants: Sequence[str], runs: int
+) -> list[dict[str, Any]]:
     """Commands of ours and of the peers, turn by turn.
 
     All drive the same models; jax_mppi's differential drive also goes backwards and wraps its
     heading.
+
+    Args:
+        quadrotor: problem that is solved with all variants.
+        on_maps: problems that are solved with the plain variant.
+        variants: plain, smooth or kernel.
+        runs: number of timed commands, at most.
     """
-    quadrotor = quadrotor_problem()
     rows = []
+    cases = [(f"quadrotor, {each}", quadrotor, each) for each in variants]
+    cases += [("differential drive on a map", problem, "plain") for problem in on_maps]
     with tempfile.TemporaryDirectory() as folder:
-        for name, problem, variant in (
-            ("quadrotor, plain", quadrotor, "plain"),
-            ("quadrotor, smooth", quadrotor, "smooth"),
-            ("quadrotor, 10 knots and a kernel", quadrotor, "kernel"),
-            ("differential drive on a map", map_problem(1024), "plain"),
-            ("differential drive on a map", map_problem(2048), "plain"),
-        ):
+        for name, problem, variant in cases:
             file = Path(folder) / "problem.npz"
-            _save(file, problem)
+            _save(file, {**problem, "runs": runs})
             controller = build(problem, variant)
-            ours = [timed_step(controller, problem["start"])]
+            ours = [timed_step(controller, problem["start"], runs)]
             theirs: list[dict[str, Any]] = []
             if name == "quadrotor, plain":
                 # What our quadrotors fly with: peers draw new numbers for each command.
                 banked = build(problem, variant, proposal=_bank(problem))
-                took = timed_step(banked, problem["start"])
-                theirs.append(_peer_row("jaxplore, bank of noise", dataclasses.asdict(took)))
+                took = timed_step(banked, problem["start"], runs)
+                theirs.append(_peer_row("jaxplore, bank of noise", _times([took])))
             paid = _probe(controller, problem)
             for peer, command in _commands(file, variant).items():
-                result = run_peer(peer, command, folder)
-                ours.append(timed_step(controller, problem["start"]))
+                result = run_peer(command, folder)
+                ours.append(timed_step(controller, problem["start"], runs))
                 # Those of our runs before and after it.
                 beside = float(np.mean([one.p50_ms for one in ours[-2:]]))
                 for suffix, times in _variants(result):
@@ -60,15 +73,16 @@ def measure() -> list[dict[str, Any]]:
                         row["times_as_long_as_jaxplore"] = times["p50_ms"] / beside
                         row["problem_differs_by"] = abs(result["probe_cost"] - paid) / abs(paid)
                     theirs.append(row)
-            times = {
-                "p50_ms": float(np.median([one.p50_ms for one in ours])),
-                "p99_ms": float(np.median([one.p99_ms for one in ours])),
-                "compile_seconds": ours[0].compile_seconds,
-            }
             title = f"{name}, K = {problem['num_samples']}, T = {problem['horizon']}"
-            rows.append({"": title, **_peer_row("jaxplore", times)})
+            rows.append({"": title, **_peer_row("jaxplore", _times(ours))})
             rows.extend({"": title, **row} for row in theirs)
     return rows
+
+
+def _times(ours: list[Timed]) -> dict[str, Any]:
+    """Return the times of all turns of ours together."""
+    together = percentiles([seconds for each in ours for seconds in each.seconds])
+    return {**together, "compile_seconds": ours[0].compile_seconds}
 
 
 def _bank(problem: Problem) -> GaussianProposal:
@@ -85,13 +99,14 @@ def _variants(result: dict[str, Any] | None) -> list[tuple[str, dict[str, Any] |
 
 
 def _peer_row(library: str, times: dict[str, Any] | None) -> dict[str, Any]:
-    names = {"ms": "p50_ms", "p99_ms": "p99_ms", "first_call_s": "compile_seconds"}
+    names = {"p50_ms": "p50_ms", "p99_ms": "p99_ms", "first_call_s": "compile_seconds"}
     row = {short: None if times is None else times[name] for short, name in names.items()}
     return {
         "library": library,
         **row,
         "times_as_long_as_jaxplore": None,
         "problem_differs_by": None,
+        **({} if times is None or "repeats" not in times else {"repeats": times["repeats"]}),
     }
 
 
@@ -108,14 +123,14 @@ def _commands(problem: Path, variant: str) -> dict[str, list[str]]:
     source = str(PEERS / "jax_mppi")
     return {
         "jax_mppi": [
-            str(PEERS / "bin" / "python"),
+            str(PYTHONS["jax_mppi"]),
             str(scripts / "jax_mppi_control.py"),
             source,
             str(problem),
             variant,
         ],
         "pytorch_mppi": [
-            str(TORCH_PEER / "bin" / "python"),
+            str(PYTHONS["pytorch_mppi"]),
             str(scripts / "pytorch_mppi_control.py"),
             str(problem),
             variant,
@@ -123,10 +138,9 @@ def _commands(problem: Path, variant: str) -> dict[str, list[str]]:
     }
 
 
-def run_peer(name: str, command: list[str], folder: str) -> dict[str, Any] | None:
-    """Run a peer on a problem, where `make bench` has set it up."""
+def run_peer(command: list[str], folder: str) -> dict[str, Any] | None:
+    """Run a peer on a problem; None where it is not set up."""
     if not Path(command[0]).exists():
-        print(f"{name} is not installed at {command[0]}: left out", file=sys.stderr)
         return None
     # What torch compiles is not kept: first calls are what they are for a newcomer.
     environment = {**os.environ, "TORCHINDUCTOR_CACHE_DIR": str(Path(folder) / "inductor")}

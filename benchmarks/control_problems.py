@@ -78,11 +78,11 @@ def quadrotor_problem(num_samples: int = 1000, horizon: int = 40) -> Problem:
     }
 
 
-def map_problem(num_samples: int) -> Problem:
-    """A robot among the walls and the furniture of an office, 20 x 20 m in cells of 5 cm."""
-    world = office(seed=5, width=20.0, height=20.0, resolution=0.05)
+def map_problem(num_samples: int, horizon: int = 100, cell: float = 0.05) -> Problem:
+    """A robot among the walls and the furniture of an office, 20 x 20 m."""
+    world = office(seed=5, width=20.0, height=20.0, resolution=cell)
     clearance = clearance_field(~world.is_free, world.frame, 1.0)
-    model, horizon = DifferentialDrive(), 100
+    model = DifferentialDrive()
     return {
         "start": model.at_pose(*start_pose(world)),
         "goal": [15.0, 12.0],

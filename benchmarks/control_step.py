@@ -1,82 +1,88 @@
 """The control step of the closed loop: whole, and part by part."""
 
-import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
-from benchmarks.setting import available_sites, experiment
-from benchmarks.timing import TimedLoop, timed
-from jaxplore import MPPI
+from benchmarks.setting import SMALL, SMALL_OFFICE, Site, available_sites, experiment
+from benchmarks.tables import Rows
+from benchmarks.timing import TimedLoop, percentiles, timed
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
-CHUNK = 50
+
+class Sizes(NamedTuple):
+    """A site, changes of the default explorer, steps and calls."""
+
+    site: Site = available_sites()[0]
+    changes: dict[str, Any] = {}  # noqa: RUF012
+    chunk: int = 50
+    steps: int = 2000
+    runs: int = 200
 
 
-def measure(steps: int) -> dict[str, Any]:
+FULL = Sizes()
+SMOKE = Sizes(SMALL_OFFICE, SMALL, 25, 25, 3)
+TITLES = {
+    "step": "The closed-loop step: K = 1000, T = 40",
+    "parts": "The same, part by part",
+}
+
+
+def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of the very step of the loop, run one at a time and in chunks.
 
     Chunks and single steps take turns along one run on the first map, so that both see the same
     beliefs and the same noise of the machine.
     """
-    site = available_sites()[0]
-    controller, scenario, _, key = experiment(site, target_coverage=1.0)
+    controller, scenario, _, key = experiment(sizes.site, target_coverage=1.0, **sizes.changes)
     assert isinstance(scenario, ExplorationScenario)
-    loop = TimedLoop(controller, scenario, key, CHUNK)
-    controller, compile_seconds = loop.controller, loop.run(0)
-    loop.run(CHUNK)
-    chunks, single = loop.turns(steps)
-    times = 1e3 * np.asarray(single)
-    every = int(scenario.steps_per_field)
-    phases = [float(np.median(times[phase::every])) for phase in range(every)]
-    p50, p99 = np.percentile(times, [50, 99])
-    assert isinstance(controller, MPPI)
-    return {
-        "map": site.name,
-        "cells": list(scenario.world.shape),
-        "samples": controller.num_samples,
-        "horizon": controller.horizon,
-        "steps": len(single),
+    loop = TimedLoop(controller, scenario, key, sizes.chunk)
+    compile_seconds = loop.run(0)
+    loop.run(sizes.chunk)
+    chunks, single = loop.turns(sizes.steps)
+    shared = {
+        "map": sizes.site.name,
+        "cells": " x ".join(map(str, scenario.world.shape)),
         "compile_seconds": compile_seconds,
-        "p50_ms": float(p50),
-        "p99_ms": float(p99),
-        "steps_per_second_p50": float(1e3 / p50),
-        "loop_mean_ms": 1e3 * float(np.median(chunks)),
-        "median_ms_by_phase": phases,
-        "parts": _parts(controller, scenario, loop.state, key),
+    }
+    return {
+        "step": [
+            {"": "one step at a time", **percentiles(single), **shared},
+            {"": "in chunks, a step", **percentiles(chunks), **shared},
+        ],
+        "parts": _parts(loop, scenario, key, sizes.runs),
     }
 
 
-def _parts(controller: Any, scenario: Any, state: Any, key: Any) -> dict[str, Any]:
-    perception, pose = scenario.perception, scenario.robot.pose(state.task.robot)
+def _parts(loop: TimedLoop, scenario: ExplorationScenario, key: Any, runs: int) -> Rows:
+    state, perception = loop.state, scenario.perception
+    pose = scenario.robot.pose(state.task.robot)
     scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     model, sensor = perception.sensor_model, perception.field_sensor
     period = jnp.asarray(0.2)
-    parts = {
-        "scan": timed(
+    parts: dict[str, tuple[Any, ...]] = {
+        "scan": (
             lambda lidar, world, at, k: lidar.scan(world, at, key=k),
             scenario.sensors[0],
             scenario.world,
             pose,
             key,
         ),
-        "map update and clearance": timed(perception.observe, state.task.belief, scan, pose),
-        "information field, whole": timed(sensor.field, state.task.belief.grid, model),
-        "all fields": timed(perception.update_fields, state.task.belief, pose, period),
-        "MPPI": timed(
+        "map update and clearance": (perception.observe, state.task.belief, scan, pose),
+        "information field, whole": (sensor.field, state.task.belief.grid, model),
+        "all fields": (perception.update_fields, state.task.belief, pose, period),
+        "MPPI": (
             lambda c, s, x, b, k: c.step(s, x, b, key=k),
-            controller,
+            loop.controller,
             state.controller,
             state.task.robot,
             state.task.belief,
             key,
         ),
     }
-    result: dict[str, Any] = {name: dataclasses.asdict(part) for name, part in parts.items()}
-    nodes = state.task.belief.information.total.size
-    beams = nodes * sensor.table.num_directions
-    field = result["information field, whole"]
-    field["beams"] = beams
-    field["million_beams_per_second"] = beams / field["p50_ms"] / 1e3
-    return result
+    rows = [{"": name, **timed(*each, runs=runs).row()} for name, each in parts.items()]
+    beams = state.task.belief.information.total.size * sensor.table.num_directions
+    for row in rows:
+        of_field = row[""] == "information field, whole"
+        row["million_beams_per_second"] = beams / row["p50_ms"] / 1e3 if of_field else None
+    return rows

@@ -1,18 +1,18 @@
 """The information engine: fields, windows, updates, growth, trajectories; and a peer."""
 
-import json
 import math
-import subprocess
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.control_peers import PEERS, PYTHONS, run_peer
+from benchmarks.tables import Rows
 from benchmarks.timing import timed
 from jaxplore import (
     FieldSensor,
@@ -31,41 +31,84 @@ from jaxplore.information.trajectory import METHODS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
-PEERS = Path(__file__).parent / ".peers"
-SIDE, RESOLUTION = 20.0, 0.1
-NUM_SCANS = 300
+RESOLUTION, RANGE, DIRECTIONS = 0.1, 5.0, 32
 
 
-def measure() -> dict[str, Any]:
+class Sizes(NamedTuple):
+    """The office, its window [cells], the scans of the exploration, and what is computed on it."""
+
+    width: float = 20.0
+    height: float = 20.0
+    position: tuple[float, float] = (9.33, 7.81)
+    window: int = 100
+    scans: int = 300
+    controller: dict[str, Any] = {}  # noqa: RUF012
+    beams: int = 12
+    reach: float = 10.0
+    directions: int = 64
+    ranges: tuple[int, ...] = (100, 200, 400, 800)
+    """Ranges on a map of `ranged` cells a side."""
+    ranged: int = 400
+    maps: tuple[int, ...] = (250, 500, 1000, 2000)
+    """Maps whose range is half a side."""
+    poses: int = 50
+    runs: int = 50
+
+
+FULL = Sizes()
+SMOKE = Sizes(
+    width=8.0,
+    height=7.0,
+    position=(4.0, 3.5),
+    window=40,
+    scans=6,
+    controller={"num_samples": 8, "horizon": 4},
+    beams=4,
+    reach=2.0,
+    directions=4,
+    ranges=(8,),
+    ranged=20,
+    maps=(20,),
+    poses=4,
+    runs=3,
+)
+TITLES = {
+    "local_field": "Local field: 20 x 20 nodes, 8 yaws, 12 beams, 10 m",
+    "fields": "Fields of all headings, 5 m; an update after each scan of an exploration",
+    "growth": "Growth: 16 directions, 64 beams",
+    "trajectories": "Information of a trajectory: 50 poses, 16 beams, 5 m",
+}
+
+
+def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of the information engine on an office that a robot explores."""
-    beliefs = _exploration()
+    beliefs = _exploration(sizes)
     grid = beliefs[len(beliefs) // 3]
-    position = jnp.asarray([9.33, 7.81])
-    along = np.linspace(0.0, 1.0, 50)
-    curve = np.stack([2 + 14 * along, 5 + 6 * along + np.sin(6 * along), 0 * along], axis=1)
-    path = jnp.asarray(curve, jnp.float32)
-    with tempfile.TemporaryDirectory() as folder:
-        peer = _peer(Path(folder), grid, position, path)
+    position = jnp.asarray(sizes.position)
+    along, width, height = np.linspace(0.0, 1.0, sizes.poses), sizes.width, sizes.height
+    x, y = width * (0.1 + 0.7 * along), height * (0.25 + 0.3 * along) + np.sin(6 * along)
+    path = jnp.asarray(np.stack([x, y, 0 * along], axis=1), jnp.float32)
+    peer = _peer(grid, position, path)
     return {
-        "local_field": _local_field(grid, position, peer),
-        "fields": _fields(beliefs),
-        "growth": _growth(),
-        "trajectories": _trajectories(grid, path, peer),
+        "local_field": _local_field(grid, position, peer, sizes),
+        "fields": _fields(beliefs, position, sizes),
+        "growth": _growth(sizes),
+        "trajectories": _trajectories(grid, path, peer, sizes.runs),
     }
 
 
-def _exploration() -> list[OccupancyGrid]:
-    """Return what a robot knows after each scan of its first half minute in a 20 m office."""
-    world = office(seed=5, width=SIDE, height=SIDE, resolution=RESOLUTION)
+def _exploration(sizes: Sizes) -> list[OccupancyGrid]:
+    """Return what a robot knows after each of its first scans in an office."""
+    world = office(seed=5, width=sizes.width, height=sizes.height, resolution=RESOLUTION)
     robot = DifferentialDrive()
     scenario = ExplorationScenario(
-        world, robot, Lidar(max_range=5.0, range_noise=0.02), start=start_pose(world)
+        world, robot, Lidar(max_range=RANGE, range_noise=0.02), start=start_pose(world)
     )
-    controller = explorer(robot).at_period(scenario.control_period)
+    controller = explorer(robot, **sizes.controller).at_period(scenario.control_period)
     key = jax.random.key(0)
     state = initial_loop_state(controller, scenario, key)
     beliefs = []
-    for _ in range(NUM_SCANS):
+    for _ in range(sizes.scans):
         # Scans come at 10 Hz, controls at 50 Hz.
         state, _, _ = run_chunk((controller, scenario, key, jnp.asarray(5)), copied(state), 50)
         beliefs.append(state.task.belief.grid)
@@ -73,10 +116,10 @@ def _exploration() -> list[OccupancyGrid]:
 
 
 def _local_field(
-    grid: OccupancyGrid, position: jax.Array, peer: dict[str, Any] | None
-) -> list[dict[str, Any]]:
-    """3200 poses of 12 beams over 90 degrees and 10 m."""
-    lidar, sensor = Lidar(12, 10.0, math.pi / 2.0), InverseSensorModel.from_odds()
+    grid: OccupancyGrid, position: jax.Array, peer: dict[str, Any] | None, sizes: Sizes
+) -> Rows:
+    """3200 poses of beams over 90 degrees."""
+    lidar, sensor = Lidar(sizes.beams, sizes.reach, math.pi / 2.0), InverseSensorModel.from_odds()
     variants = {
         "noise-free": None,
         "Gaussian 0.15 m, to 3 sigma": GaussianNoise(0.15, 3.0),
@@ -91,12 +134,11 @@ def _local_field(
         at = jnp.repeat(found.frame.cell_centre(nodes.reshape(-1, 2)), 8, axis=0)
         yaw = jnp.tile(found.headings, 400)
         by_ray = eqx.filter_jit(pose)(grid, at, yaw)
-        shifted = timed(fast.field, grid, position, runs=50)
-        rays = timed(pose, grid, at, yaw, runs=5)
+        shifted = timed(fast.field, grid, position, runs=sizes.runs)
+        rays = timed(pose, grid, at, yaw, runs=max(1, sizes.runs // 10))
         row = {
             "": name,
-            "ms": shifted.p50_ms,
-            "p99_ms": shifted.p99_ms,
+            **shifted.row(),
             "ray_by_ray_ms": rays.p50_ms,
             "times_faster": rays.p50_ms / shifted.p50_ms,
             "largest_difference": float(jnp.abs(found.values.reshape(-1) - by_ray).max()),
@@ -120,38 +162,40 @@ def _correlation(
     return float(np.corrcoef(ours.reshape(-1), theirs.reshape(-1))[0, 1])
 
 
-def _fields(beliefs: list[OccupancyGrid]) -> list[dict[str, Any]]:
+def _fields(beliefs: list[OccupancyGrid], position: jax.Array, sizes: Sizes) -> Rows:
     """Whole fields, windows and updates after each scan, at 5 m."""
-    model = InverseSensorModel()
-    window = [_cut(belief, 100) for belief in beliefs]
+    model, lidar = InverseSensorModel(), Lidar(max_range=RANGE, range_noise=0.02)
+    grid = beliefs[len(beliefs) // 3]
+    window = [_cut(belief, sizes.window) for belief in beliefs]
     rows = []
-    for name, grids, directions, stride in (
-        ("200 x 200, 64 directions", beliefs, 64, 1),
-        ("200 x 200, 32 directions, every 2nd cell", beliefs, 32, 2),
-        ("100 x 100, 32 directions", window, 32, 1),
+    for grids, directions, stride in (
+        (beliefs, sizes.directions, 1),
+        (beliefs, sizes.directions // 2, 2),
+        (window, sizes.directions // 2, 1),
     ):
-        sensor = FieldSensor(Lidar(max_range=5.0, range_noise=0.02), RESOLUTION, directions, stride)
-        field = timed(sensor.field, grids[len(grids) // 3], model, runs=50)
+        sensor = FieldSensor(lidar, RESOLUTION, directions, stride)
+        field = timed(sensor.field, grids[len(grids) // 3], model, runs=sizes.runs)
+        cells = " x ".join(map(str, grids[0].shape))
+        name = f"{cells}, {directions} directions" + (", every 2nd cell" if stride == 2 else "")
         beams = directions * math.prod(-(-size // stride) for size in grids[0].shape)
         rows.append(
             {
                 "": name,
-                "ms": field.p50_ms,
-                "p99_ms": field.p99_ms,
+                **field.row(),
                 "million_beams_per_s": beams / field.p50_ms / 1e3,
                 "memory_mb": _memory(sensor, grids[0], model),
                 **_updates(sensor, grids, model),
             }
         )
-    sensor = FieldSensor(Lidar(max_range=5.0, range_noise=0.02), RESOLUTION, 32)
-    position, shape = jnp.asarray([9.33, 7.81]), (100, 100)
-    taken = timed(lambda g, p: sensor.window(g, model, p, shape), beliefs[100], position, runs=50)
+    sensor = FieldSensor(lidar, RESOLUTION, sizes.directions // 2)
+    shape = (sizes.window, sizes.window)
+    taken = timed(lambda g, p: sensor.window(g, model, p, shape), grid, position, runs=sizes.runs)
+    beams = math.prod(shape) * sizes.directions // 2
     rows.append(
         {
-            "": "window 10 m x 10 m of it, 32 directions",
-            "ms": taken.p50_ms,
-            "p99_ms": taken.p99_ms,
-            "million_beams_per_s": 320_000 / taken.p50_ms / 1e3,
+            "": f"window of {sizes.window} x {sizes.window} of it",
+            **taken.row(),
+            "million_beams_per_s": beams / taken.p50_ms / 1e3,
         }
     )
     return rows
@@ -162,14 +206,14 @@ def _updates(
 ) -> dict[str, float]:
     update = eqx.filter_jit(sensor.update)
     field = eqx.filter_jit(sensor.field)(grids[0], model)
-    milliseconds = []
+    seconds = []
     for grid in grids[1:]:
         began = time.perf_counter()
         field = update(field, grid, model)
         field.cumulative.block_until_ready()
-        milliseconds.append(1e3 * (time.perf_counter() - began))
+        seconds.append(time.perf_counter() - began)
     again = eqx.filter_jit(sensor.field)(grids[-1], model)
-    p50, p90 = np.percentile(milliseconds[3:], [50, 90])
+    p50, p90 = 1e3 * np.percentile(seconds[3:], [50, 90])
     return {
         "update_ms": float(p50),
         "update_p90_ms": float(p90),
@@ -195,18 +239,18 @@ def _cut(grid: OccupancyGrid, size: int) -> OccupancyGrid:
     return OccupancyGrid(part, grid.resolution)
 
 
-def _growth() -> list[dict[str, Any]]:
+def _growth(sizes: Sizes) -> Rows:
     """Time per cell and direction as maps and ranges grow together, by either method."""
     model, directions = InverseSensorModel(), 16
-    rows: list[dict[str, Any]] = []
+    rows: Rows = []
     rng = np.random.default_rng(0)
 
     def half_known(size: int) -> OccupancyGrid:
         levels = rng.choice([0.001, 0.5, 0.99], (size, size), p=[0.9, 0.099, 0.001])
         return OccupancyGrid(levels.astype(np.float32), RESOLUTION)
 
-    ranges = [(400, reach) for reach in (100, 200, 400, 800)]
-    for size, reach in [*ranges, (250, 125), (500, 250), (1000, 500), (2000, 1000)]:
+    ranges = [(sizes.ranged, reach) for reach in sizes.ranges]
+    for size, reach in [*ranges, *((size, size // 2) for size in sizes.maps)]:
         grid = half_known(size)
         row: dict[str, Any] = {"": f"{size} x {size} cells, range {reach} cells"}
         for method in ("scan", "doubling"):
@@ -218,47 +262,42 @@ def _growth() -> list[dict[str, Any]]:
             row[f"{method}_ns_per_beam"] = each
             row[f"{method}_ns_per_log2_range"] = each / math.log2(reach)
         rows.append(row)
-    sensor = FieldSensor(Lidar(max_range=5.0, range_noise=0.02), RESOLUTION, directions, 2)
-    took = timed(sensor.field, half_known(2000), model, runs=3, warm_up=1)
+    sensor = FieldSensor(Lidar(max_range=RANGE, range_noise=0.02), RESOLUTION, directions, 2)
+    size = max(sizes.maps)
+    took = timed(sensor.field, half_known(size), model, runs=3, warm_up=1)
     rows.append(
         {
-            "": "2000 x 2000 cells, range 50 cells, every 2nd cell",
+            "": f"{size} x {size} cells, range 50 cells, every 2nd cell",
             "scan_ms": took.p50_ms,
-            "scan_ns_per_beam": 1e6 * took.p50_ms / (1000 * 1000 * directions),
+            "scan_ns_per_beam": 1e6 * took.p50_ms / (size * size / 4 * directions),
         }
     )
     return rows
 
 
 def _trajectories(
-    grid: OccupancyGrid, path: jax.Array, peer: dict[str, Any] | None
-) -> list[dict[str, Any]]:
-    """50 poses of 16 beams over 90 degrees and 5 m."""
+    grid: OccupancyGrid, path: jax.Array, peer: dict[str, Any] | None, runs: int
+) -> Rows:
+    """Poses of 16 beams over 90 degrees and 5 m."""
     pose, rows = PoseInformation(Lidar(16, 5.0, math.pi / 2.0)), []
     for method in METHODS:
-        took = timed(TrajectoryInformation(pose, method), grid, path[:, :2], runs=100)
+        took = timed(TrajectoryInformation(pose, method), grid, path[:, :2], runs=2 * runs)
         theirs = None if peer is None else peer["trajectory_ms"].get(method)
-        rows.append({"": method, "ms": took.p50_ms, "p99_ms": took.p99_ms, "jax_mppi_ms": theirs})
+        rows.append({"": method, **took.row(), "jax_mppi_ms": theirs})
     return rows
 
 
-def _peer(
-    folder: Path, grid: OccupancyGrid, position: jax.Array, path: jax.Array
-) -> dict[str, Any] | None:
+def _peer(grid: OccupancyGrid, position: jax.Array, path: jax.Array) -> dict[str, Any] | None:
     """Run jax_mppi's own code on the same problem, where `make bench` has set it up."""
-    python = PEERS / "bin" / "python"
-    if not python.exists():
-        return None
-    problem = folder / "problem.npz"
-    np.savez(
-        problem,
-        grid=np.asarray(grid.probability),
-        position=np.asarray(position),
-        path=np.asarray(path),
-        resolution=grid.resolution,
-    )
-    script = Path(__file__).parent / "peers" / "jax_mppi_information.py"
-    command = [str(python), str(script), str(PEERS / "jax_mppi"), str(problem)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return result
+    with tempfile.TemporaryDirectory() as folder:
+        problem = Path(folder) / "problem.npz"
+        np.savez(
+            problem,
+            grid=np.asarray(grid.probability),
+            position=np.asarray(position),
+            path=np.asarray(path),
+            resolution=grid.resolution,
+        )
+        script = Path(__file__).parent / "peers" / "jax_mppi_information.py"
+        command = [PYTHONS["jax_mppi"], script, PEERS / "jax_mppi", problem]
+        return run_peer([str(each) for each in command], folder)

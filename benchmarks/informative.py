@@ -29,13 +29,13 @@ world; nothing checks collisions; no distances to obstacles, no guidance through
 no coverage are computed; its progress bar is off.
 """
 
-import os
-import subprocess
+import json
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -43,50 +43,79 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.informative_peer import Peer, PeerError
-from benchmarks.timing import timed
+from benchmarks.tables import Rows
+from benchmarks.timing import in_own_processes, percentiles, timed
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.planning import InformativeMPPI
+from jaxplore.planning import InformativeMPPI, ReferenceStart
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 from jaxplore.simulation.state import LoopState
 
 ARCHITECTURES = ("two-layer", "parallel")
 CHUNK = 25
-TURNS, TURN_STEPS = 3, 200
 LONGEST_FLIGHT = 500
 
 
-def measure() -> dict[str, Any]:
+class Sizes(NamedTuple):
+    """Changes of the settings, turns and their steps, calls of a part, and the architectures of
+    which the compilation is timed."""
+
+    changes: Mapping[str, Any] = {}
+    architectures: tuple[str, ...] = ARCHITECTURES
+    turns: int = 3
+    steps: int = 200
+    flown: int = 100
+    runs: int = 200
+    compiled: tuple[str, ...] = ARCHITECTURES
+
+
+FULL = Sizes()
+SMOKE = Sizes(
+    {
+        "informative": {"num_samples": 8, "horizon": 4, "field_beams": 4, "local_beams": 4},
+        "time_limit": 0.5,
+    },
+    architectures=("two-layer",),
+    turns=1,
+    steps=CHUNK,
+    flown=0,
+    runs=3,
+    compiled=(),
+)
+TITLES = {
+    "loop": "Informative MPPI, a control step of the closed loop: K = 1000, T = 40",
+    "ratios": "The same, times as long as jaxplore",
+    "parts": "Informative MPPI, part by part",
+}
+
+
+def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of both architectures and of the peer, and ratios."""
-    compile_seconds = {name: _compile_seconds_elsewhere(name) for name in ARCHITECTURES}
-    loops = {name: _Loop(name) for name in ARCHITECTURES}
+    # Programs are compiled anew: what an earlier run has left on the disk does not count.
+    uncached = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
+    compiled = in_own_processes(__spec__.name, [[name] for name in sizes.compiled], uncached)
+    spent = {row["architecture"]: row["compile_seconds"] for row in compiled}
+    loops = {name: _Loop(name, sizes.changes, sizes.steps) for name in sizes.architectures}
     with tempfile.TemporaryDirectory() as folder:
-        about, theirs = _take_turns(loops, Path(folder))
+        about, theirs = _take_turns(loops, Path(folder), sizes)
     rows = [
-        {"": name, "library": "jaxplore", **loop.times.row(), "compile_seconds": spent}
-        for (name, loop), spent in zip(loops.items(), compile_seconds.values(), strict=True)
+        {"": name, "library": "jaxplore", **loop.times.row(), "compile_seconds": spent.get(name)}
+        for name, loop in loops.items()
     ]
     reason = about.get("reason")
     name = "parallel" if reason is None else f"parallel, does not run: {reason}"
-    spent = about.get("compile_seconds")
-    rows.append({"": name, "library": "jax_mppi", **theirs.row(), "compile_seconds": spent})
-    controller, world = loops["parallel"].controller, loops["parallel"].scenario.world
-    return {
-        "samples": controller.mppi.num_samples,
-        "horizon": controller.mppi.horizon,
-        "cells": list(world.shape),
-        "peer": about,
-        "loop": rows,
-        "ratios": _ratios(*rows),
-        "parts": _parts(loops),
-    }
+    peer = {"compile_seconds": about.get("compile_seconds")}
+    rows.append({"": name, "library": "jax_mppi", **theirs.row(), **peer})
+    return {"loop": rows, "ratios": _ratios(*rows), "parts": _parts(loops, sizes)}
 
 
-def _take_turns(loops: dict[str, "_Loop"], folder: Path) -> tuple[dict[str, Any], "_Times"]:
+def _take_turns(
+    loops: dict[str, "_Loop"], folder: Path, sizes: Sizes
+) -> tuple[dict[str, Any], "_Times"]:
     """Let ours and the peer take turns; return what the peer says of itself, and its times."""
     try:
-        peer = Peer(folder, TURN_STEPS)
+        peer = Peer(folder, sizes.steps)
         theirs = _Times()
-        for _ in range(TURNS):
+        for _ in range(sizes.turns):
             for loop in loops.values():
                 loop.turn()
             theirs.add(peer.turn())
@@ -94,7 +123,7 @@ def _take_turns(loops: dict[str, "_Loop"], folder: Path) -> tuple[dict[str, Any]
     except PeerError as error:
         print(f"jax_mppi's simulation does not run: {error}", file=sys.stderr)
         for loop in loops.values():
-            while len(loop.times.means) < TURNS:
+            while len(loop.times.means) < sizes.turns:
                 loop.turn()
         return {"reason": str(error)}, _Times()
     return peer.about, theirs
@@ -123,14 +152,21 @@ class _Times:
             for level in levels:
                 name = f"{kind}_step_p{level}_ms".removeprefix("_step_")
                 row[name] = float(np.percentile(chosen, level)) if chosen else None
-        return {**row, "loop_mean_ms": float(np.median(self.means)) if self.means else None}
+        all_steps = [1e-3 * ms for _, ms in self.single]
+        return {
+            **row,
+            "loop_mean_ms": float(np.median(self.means)) if self.means else None,
+            "repeats": percentiles(all_steps)["repeats"] if all_steps else [],
+        }
 
 
 class _Loop:
     """The closed loop of an architecture."""
 
-    def __init__(self, architecture: str) -> None:
-        self.controller, self.scenario, self.num_steps, self.key = _experiment(architecture)
+    def __init__(self, architecture: str, changes: Mapping[str, Any], steps: int) -> None:
+        made = _experiment(architecture, changes)
+        self.controller, self.scenario, self.num_steps, self.key = made
+        self.steps = steps
         self.every = int(self.scenario.steps_per_field)
         self.times, self.flights = _Times(), 0
         self._chunk(self.begin(), self.key, 0)
@@ -144,7 +180,7 @@ class _Loop:
         for _ in range(2):  # What ran before has cooled what is warmed up here.
             self._chunk(self.begin(), self.key, CHUNK)
         single, seconds, steps = 0, 0.0, 0
-        while single < TURN_STEPS:
+        while single < self.steps:
             key = jax.random.fold_in(self.key, self.flights)
             self.flights += 1
             flown = self._fly(key, 1)
@@ -187,76 +223,71 @@ class _Loop:
         return result[0], time.perf_counter() - began, int(result[2])
 
 
-def _experiment(architecture: str) -> tuple[InformativeMPPI, Any, int, jax.Array]:
-    settings = make_settings({"map": "zones", "architecture": architecture})
+def _experiment(
+    architecture: str, changes: Mapping[str, Any]
+) -> tuple[InformativeMPPI, Any, int, jax.Array]:
+    settings = make_settings({"map": "zones", "architecture": architecture, **changes})
     controller, scenario, num_steps, key = build(settings)
     controller = controller.at_period(scenario.control_period)
     assert isinstance(controller, InformativeMPPI)
     return controller, scenario, num_steps, key
 
 
-def _parts(loops: dict[str, _Loop]) -> list[dict[str, Any]]:
+def _parts(loops: dict[str, _Loop], sizes: Sizes) -> Rows:
     """The strategic layer, short looks and MPPI alone, two seconds into a flight."""
     rows: dict[str, dict[str, Any]] = {}
     for architecture, loop in loops.items():
-        controller, state = loop.controller, loop.after(100)
+        controller, state = loop.controller, loop.after(sizes.flown)
         belief, robot = state.task.belief, state.task.robot
-        at = controller.mppi.dynamics.position(robot)
+        model = controller.mppi.dynamics
+        at = model.position(robot)
         prepare = eqx.filter_jit(lambda c, *given: c._prepare(*given))
         mppi, known, strategy, _ = prepare(controller, state.controller, robot, belief)
-        parts: dict[str, Any] = {
-            "information field around the robot": timed(
-                controller.potential_sensor.field, belief.grid, at
+        parts: dict[str, tuple[Any, ...] | None] = {
+            "information field around the robot": (
+                controller.potential_sensor.field,
+                *(belief.grid, at),
             ),
             "reference": None,
-            "strategy: field and reference": timed(controller.strategic_plan, belief, robot),
-            "short-range field": timed(
-                controller.short_range_field, belief, controller.sensor_model, at
+            "strategy: field and reference": (controller.strategic_plan, belief, robot),
+            "short-range field": (
+                controller.short_range_field,
+                *(belief, controller.sensor_model, at),
             ),
-            "MPPI": timed(
+            "MPPI": (
                 lambda mppi, *given: mppi.step(*given[:3], key=given[3]),
                 *(mppi, state.controller.mppi, robot, known, loop.key),
             ),
         }
         if controller.reference is not None:
-            start = jnp.append(at, controller.altitude)
-            parts["reference"] = timed(controller.reference, belief, strategy.best, start)
+            place = jnp.append(at, controller.altitude)
+            start = ReferenceStart(place, model.heading(robot), model.speed(robot))
+            parts["reference"] = (controller.reference, belief, strategy.best, start)
         prefix = architecture.replace("-", "_")
-        for name, part in parts.items():
+        for name, given in parts.items():
             row = rows.setdefault(name, {"": name})
-            row[f"{prefix}_p50_ms"] = None if part is None else part.p50_ms
-            row[f"{prefix}_p99_ms"] = None if part is None else part.p99_ms
+            part = None if given is None else timed(*given, runs=sizes.runs).row()
+            row[f"{prefix}_p50_ms"] = None if part is None else part["p50_ms"]
+            row[f"{prefix}_p99_ms"] = None if part is None else part["p99_ms"]
     return list(rows.values())
 
 
-def _ratios(
-    two_layer: dict[str, Any], parallel: dict[str, Any], peer: dict[str, Any]
-) -> list[dict[str, Any]]:
-    """How many times as long the peer takes, for all that both have."""
-    ours = {"two_layer": two_layer, "parallel": parallel}
+def _ratios(*rows: dict[str, Any]) -> Rows:
+    """How many times as long the peer, the last row, takes, for all that both have."""
+    *ours, peer = rows
     return [
         {
             "": f"jax_mppi, {name}",
-            **{f"times_as_long_as_{key}": theirs / row[name] for key, row in ours.items()},
+            **{f"times_as_long_as_{row['']}": theirs / row[name] for row in ours},
         }
         for name, theirs in peer.items()
-        if isinstance(theirs, float)
+        if isinstance(theirs, float) and all(isinstance(row[name], float) for row in ours)
     ]
 
 
-def _compile_seconds_elsewhere(architecture: str) -> float:
-    """Return what a new process takes until the loop is ready for its first step [s]."""
-    command = [sys.executable, "-m", "benchmarks.informative", architecture]
-    environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "false"}
-    folder = Path(__file__).parents[1]
-    done = subprocess.run(
-        command, stdout=subprocess.PIPE, text=True, check=True, env=environment, cwd=folder
-    )
-    return float(done.stdout.splitlines()[-1])
-
-
 def _compile_seconds(architecture: str) -> float:
-    controller, scenario, _, key = _experiment(architecture)
+    """Return what a new process takes until the loop is ready for its first step [s]."""
+    controller, scenario, _, key = _experiment(architecture, {})
     jax.block_until_ready((controller, scenario, key))  # type: ignore[no-untyped-call]
     began = time.perf_counter()
     state, program = initial_loop_state(controller, scenario, key), cast(Any, run_chunk)
@@ -265,4 +296,5 @@ def _compile_seconds(architecture: str) -> float:
 
 
 if __name__ == "__main__":
-    print(_compile_seconds(sys.argv[1]))
+    of = {"architecture": sys.argv[1], "compile_seconds": _compile_seconds(sys.argv[1])}
+    print(json.dumps(of))

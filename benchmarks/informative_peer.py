@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-PEERS = Path(__file__).parent / ".peers"
+from benchmarks.control_peers import PEERS, PYTHONS
 
 
 class PeerError(Exception):
@@ -25,7 +25,7 @@ class Peer:
     """
 
     def __init__(self, folder: Path, steps: int) -> None:
-        python, source = PEERS / "bin" / "python", PEERS / "jax_mppi"
+        python, source = PYTHONS["jax_mppi"], PEERS / "jax_mppi"
         if not python.exists():
             raise PeerError(f"not installed at {python}")
         script = Path(__file__).parent / "peers" / "jax_mppi_informative.py"

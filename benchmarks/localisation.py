@@ -4,14 +4,13 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.setting import available_maps
-from benchmarks.tables import table
+from benchmarks.setting import SMALL, available_maps
+from benchmarks.tables import Rows, table
 from benchmarks.timing import TimedLoop, timed
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.localisation.localiser import Localiser
@@ -29,11 +28,24 @@ SITES = {
 }
 DRIFT = {"distance_noise": 0.02, "turn_per_distance_degrees": 1.0}
 """The odometry of the bars: 2 % of the distance and a degree in each metre."""
-BEAMS, PARTICLES = 360, (500, 2000, 5000)
-WARM_UP_STEPS = 400
-"""Steps of an exploration before its surfaces are matched to."""
 LIMIT = 1500.0
 """Simulated time after which a run ends [s]."""
+
+
+class Sizes(NamedTuple):
+    """A map, changes of the explorer's settings, steps of an exploration before its surfaces are
+    matched to, numbers of particles, and timed calls."""
+
+    path: str = next(iter(available_maps(SITES).values()))
+    changes: dict[str, Any] = {}  # noqa: RUF012
+    warm_up: int = 400
+    particles: tuple[int, ...] = (500, 2000, 5000)
+    runs: int = 300
+
+
+FULL = Sizes()
+SMOKE = Sizes("office", SMALL, 10, (20,), 3)
+TITLES = {"parts": "Parts of a localisation, scans of 360 beams"}
 
 
 def exploration(path: str, seed: int, **changes: Any) -> Experiment:
@@ -49,21 +61,18 @@ def exploration(path: str, seed: int, **changes: Any) -> Experiment:
     return build(make_settings(entries))
 
 
-def measure_times(runs: int = 300) -> list[dict[str, Any]]:
+def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of a match, of a whole correction, and of particle filters.
 
     The scan is a new one, from where the robot has driven in an exploration. Its guess is a fifth
     of a metre and three degrees off.
-
-    Args:
-        runs: number of timed calls.
     """
-    path = next(iter(available_maps(SITES).values()))
-    controller, scenario, _, key = exploration(path, 0)
+    entries = {"map": sizes.path, "localisation": DRIFT, "seed": 0, **sizes.changes}
+    controller, scenario, _, key = build(make_settings(entries))
     assert isinstance(scenario, ExplorationScenario)
     assert scenario.localisation is not None
-    loop = TimedLoop(controller, scenario, key, WARM_UP_STEPS)
-    loop.run(WARM_UP_STEPS)
+    loop = TimedLoop(controller, scenario, key, sizes.warm_up)
+    loop.run(sizes.warm_up)
     known = loop.state.task.located.known
     localiser, sensors = scenario.localisation.localiser, scenario.sensors
     assert isinstance(localiser, Localiser)
@@ -74,17 +83,21 @@ def measure_times(runs: int = 300) -> list[dict[str, Any]]:
         pose=known.pose + jnp.array([0.14, 0.14, 0.05]),
         covariance=jnp.diag(jnp.array([0.1, 0.1, 0.04]) ** 2),
     )
-    rows = [
-        _row("match", timed(_match, localiser.matcher, guess, ends, runs=runs)),
-        _row("match, add, store", timed(_corrected, localiser, guess, scan, sensors, runs=runs)),
-    ]
-    for number in PARTICLES:
+    calls: dict[str, tuple[Any, ...]] = {
+        "match": (_match, localiser.matcher, guess, ends),
+        "match, add, store": (_corrected, localiser, guess, scan, sensors),
+    }
+    for number in sizes.particles:
         each = ParticleFilter(scenario.localisation.odometry, number)
         field = each.likelihood_field(scenario.world)
         cloud = each.init_around(pose, np.diag([0.04, 0.04, 0.01]), key)
         given = each, cloud, scan.points(sensors[0]), scan.is_return, field, key
-        rows.append(_row(f"{number} particles", timed(_filtered, *given, runs=runs)))
-    return rows
+        calls[f"{number} particles"] = (_filtered, *given)
+    rows = []
+    for name, call in calls.items():
+        took = timed(*call, runs=sizes.runs)
+        rows.append({"part": name, **took.row(), "compile_s": took.compile_seconds})
+    return {"parts": rows}
 
 
 def _match(matcher: Any, known: Any, ends: Any) -> Any:
@@ -104,17 +117,6 @@ def _filtered(
     moved = particles.predict(cloud, motion, jnp.asarray(0.1), key)
     moved = particles.update(moved, points, is_return, field, key)
     return moved, particles.estimate(moved)
-
-
-def _row(name: str, times: Any) -> dict[str, Any]:
-    return {
-        "part": name,
-        "beams": BEAMS,
-        "device": jax.devices()[0].device_kind,
-        "p50_ms": times.p50_ms,
-        "p99_ms": times.p99_ms,
-        "compile_s": times.compile_seconds,
-    }
 
 
 def measure_runs(
@@ -176,8 +178,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file of the rows")
     choice, console = parser.parse_args(), Console(width=180)
     if choice.times:
-        rows = measure_times()
-        console.print(table("Parts of a localisation, scans of 360 beams", rows))
+        rows = measure(FULL)["parts"]
+        console.print(table(TITLES["parts"], rows))
     else:
         bound = choice.most_uncertainty
         changes = {} if bound is None else {"most_uncertainty": bound}

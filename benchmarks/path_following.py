@@ -11,32 +11,30 @@ controls are there; of ours with the making of its key, which Faran's planners d
 Ours is timed before and after each peer.
 
 The car stands at first. A run is over when the path parameter is `NEAR_END` before the path's end,
-or after `STEPS`. Contouring and lag errors are what each library's own objects say, from its own
+or after `steps`. Contouring and lag errors are what each library's own objects say, from its own
 reference point; `distance` is that from the car to the nearest point of the path, for all alike.
 """
 
-import dataclasses
 import json
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxplore as jx
-from benchmarks.control_peers import PEERS, run_peer
-from benchmarks.timing import Timed
+from benchmarks.control_peers import PYTHONS, run_peer
+from benchmarks.tables import Rows
+from benchmarks.timing import percentiles
 from jaxplore.planning.presets.path_following import PathFollowing
 
 BACKENDS = {"numpy": "Faran, NumPy", "jax": "Faran, JAX"}
 PRECISE = "jaxplore, Runge-Kutta"
-SIZES = ((256, 30), (1000, 40))
-STEPS, SEEDS, NEAR_END = 100, 20, 0.8
-WARM_UP = 20
+NEAR_END = 0.8
 PROBLEM: dict[str, Any] = {
     "waypoints": [(0, 0), (10, 0), (20, 5), (30, 0), (40, -5), (50, 0)],
     "path_length": 35.0,
@@ -50,46 +48,67 @@ PROBLEM: dict[str, Any] = {
     "contouring_weight": 100.0,
     "lag_weight": 100.0,
     "progress_weight": 1000.0,
-    "steps": STEPS,
 }
 Run = dict[str, Any]
 
 
-def measure(timed_steps: int = 400) -> dict[str, list[dict[str, Any]]]:
+class Sizes(NamedTuple):
+    """Samples and horizons, steps of a run, its seeds, and timed steps after those that warm up."""
+
+    controllers: tuple[tuple[int, int], ...] = ((256, 30), (1000, 40))
+    run_steps: int = 100
+    runs: int = 20
+    timed_steps: int = 400
+    warm_up: int = 20
+
+
+FULL = Sizes()
+SMOKE = Sizes(((8, 4),), 6, 1, 3, 2)
+TITLES = {
+    "step": "Contouring control along an S-curve, a step, and Faran's",
+    "tracking": "How well it follows: K = 256, T = 30, at most 10 s",
+}
+
+
+def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of all sizes, and how well the first of them follows."""
     # Natural, as Faran's spline: with another one the curve is another, by up to a metre.
     path = jx.path_through(PROBLEM["waypoints"], boundary="natural")
-    times, tracking = [], []
+    times: Rows = []
+    tracking: Rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for samples, horizon in SIZES:
-            seeds = SEEDS if (samples, horizon) == SIZES[0] else 0
-            problem = {**PROBLEM, "rollouts": samples, "horizon": horizon, "seeds": seeds}
-            problem["timed_steps"] = timed_steps
+        for samples, horizon in sizes.controllers:
+            seeds = 0 if tracking else sizes.runs
+            problem = {
+                **PROBLEM,
+                "rollouts": samples,
+                "horizon": horizon,
+                "seeds": seeds,
+                "steps": sizes.run_steps,
+                "timed_steps": sizes.timed_steps,
+                "warm_up": sizes.warm_up,
+            }
             file = Path(folder) / "problem.json"
             file.write_text(json.dumps(problem), encoding="utf-8")
             following = _following(problem, path, jx.Euler())
             precise = _following(problem, path, jx.RK4())
-            ours = [_times(following, problem)]
-            theirs = [_times_row(PRECISE, dataclasses.asdict(_times(precise, problem)))]
+            ours = [_seconds(following, problem)]
+            theirs = [_times_row(PRECISE, _times([_seconds(precise, problem)], sizes.warm_up))]
             runs = {
                 library: [_follow(each, problem, path, seed) for seed in range(seeds)]
                 for library, each in (("jaxplore", following), (PRECISE, precise))
             }
             for backend, library in BACKENDS.items():
-                result = run_peer(library, _command(backend, file), folder)
-                ours.append(_times(following, problem))
+                result = run_peer(_command(backend, file), folder)
+                ours.append(_seconds(following, problem))
                 # Those of our runs before and after it.
-                beside = float(np.mean([one.p50_ms for one in ours[-2:]]))
+                beside = _times(ours[-2:], sizes.warm_up)["p50_ms"]
                 row = _times_row(library, result)
                 if result is not None:
                     row["times_as_long_as_jaxplore"] = result["p50_ms"] / beside
                     runs[library] = result["runs"]
                 theirs.append(row)
-            mine = {
-                "compile_seconds": ours[0].compile_seconds,
-                "p50_ms": float(np.median([one.p50_ms for one in ours])),
-                "p99_ms": float(np.median([one.p99_ms for one in ours])),
-            }
+            mine = _times(ours, sizes.warm_up)
             title = f"K = {samples}, T = {horizon}"
             times += [{"": title, **row} for row in (_times_row("jaxplore", mine), *theirs)]
             if seeds:
@@ -99,7 +118,7 @@ def measure(timed_steps: int = 400) -> dict[str, list[dict[str, Any]]]:
 
 def _command(backend: str, problem: Path) -> list[str]:
     script = Path(__file__).parent / "peers" / "faran_mpcc.py"
-    return [str(PEERS / "faran" / "bin" / "python"), str(script), backend, str(problem)]
+    return [str(PYTHONS["Faran"]), str(script), backend, str(problem)]
 
 
 def _following(problem: dict[str, Any], path: jx.Path, integrator: jx.Integrator) -> PathFollowing:
@@ -139,15 +158,20 @@ def _drive(
         yield state, spent
 
 
-def _times(following: PathFollowing, problem: dict[str, Any]) -> Timed:
-    """Time steps along the path, which begins anew when a run is over."""
+def _seconds(following: PathFollowing, problem: dict[str, Any]) -> list[float]:
+    """Time steps along the path, which begins anew when a run is over [s]."""
     seconds: list[float] = []
     seed = 0
-    while len(seconds) < WARM_UP + problem["timed_steps"]:
+    while len(seconds) < problem["warm_up"] + problem["timed_steps"]:
         seconds += [spent for _, spent in _drive(following, problem, seed)]
         seed += 1
-    p50, p99 = 1e3 * np.percentile(seconds[WARM_UP:], [50, 99])
-    return Timed(seconds[0], float(p50), float(p99), len(seconds) - WARM_UP)
+    return seconds
+
+
+def _times(turns: list[list[float]], warm_up: int) -> dict[str, Any]:
+    """Return the times of all turns together, the first call apart."""
+    together = percentiles([spent for each in turns for spent in each[warm_up:]])
+    return {**together, "compile_seconds": turns[0][0]}
 
 
 def _follow(following: PathFollowing, problem: dict[str, Any], path: jx.Path, seed: int) -> Run:
@@ -161,9 +185,10 @@ def _follow(following: PathFollowing, problem: dict[str, Any], path: jx.Path, se
 
 
 def _times_row(library: str, times: dict[str, Any] | None) -> dict[str, Any]:
-    names = {"ms": "p50_ms", "p99_ms": "p99_ms", "first_call_s": "compile_seconds"}
+    names = {"p50_ms": "p50_ms", "p99_ms": "p99_ms", "first_call_s": "compile_seconds"}
     row = {short: None if times is None else times[name] for short, name in names.items()}
-    return {"library": library, **row, "times_as_long_as_jaxplore": None}
+    repeats = {"repeats": times["repeats"]} if times and "repeats" in times else {}
+    return {"library": library, **row, "times_as_long_as_jaxplore": None, **repeats}
 
 
 def _tracking_row(library: str, runs: list[Run], path: jx.Path) -> dict[str, Any]:

@@ -1,52 +1,72 @@
 """A portfolio's step in the closed loop: what it costs, by number of members and by part."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
 from benchmarks.portfolio import ROLES, experiment
-from benchmarks.timing import TimedLoop, timed
+from benchmarks.tables import Rows
+from benchmarks.timing import TimedLoop, percentiles, timed
 from jaxplore.planning.presets.ground_vehicle import ROLE_WEIGHTS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 CHUNK = 50
 
 
-def measure(steps: int) -> dict[str, Any]:
-    """Return the times of the warehouse's step: K = 1000, T = 30, 360 beams."""
-    return {"members": step_times((1, 2, 4, 8), steps), "parts": parts()}
+class Sizes(NamedTuple):
+    """Numbers of members, samples and horizon of each, steps, the number of members whose parts are
+    timed, and timed calls."""
+
+    counts: tuple[int, ...] = (1, 2, 4, 8)
+    samples: int = 1000
+    horizon: int = 30
+    steps: int = 2000
+    parts_of: int = 4
+    runs: int = 200
 
 
-def step_times(counts: tuple[int, ...], steps: int) -> list[dict[str, Any]]:
+FULL = Sizes()
+SMOKE = Sizes((1,), 8, 4, 0, 1, 3)
+TITLES = {
+    "members": "A portfolio's step in the warehouse by members: K = 1000, T = 30, 360 beams",
+    "parts": "The same, part by part, four members",
+}
+
+
+def measure(sizes: Sizes) -> dict[str, Rows]:
+    """Return the times of the warehouse's step."""
+    loops: dict[int, TimedLoop] = {}
+    for count in sizes.counts:
+        weights = {f"{ROLES[n % 4]} {n}": _weights(ROLES[n % 4]) for n in range(count)}
+        changes = {"num_samples": sizes.samples, "horizon": sizes.horizon}
+        made = experiment("warehouse", {"weights": weights, **changes})
+        loops[count] = TimedLoop(made.controller, made.scenario, made.key, CHUNK)
+    members = _members(loops, sizes.steps)
+    return {"members": members, "parts": _parts(loops[sizes.parts_of], sizes.runs)}
+
+
+def _members(loops: dict[int, TimedLoop], steps: int) -> Rows:
     """Return times of the step, everything in it, by number of members.
 
     The numbers take turns, so that all see the same noise of the machine.
     """
-    loops: dict[int, TimedLoop] = {}
-    for count in counts:
-        weights = {f"{ROLES[n % 4]} {n}": _weights(ROLES[n % 4]) for n in range(count)}
-        made = experiment("warehouse", {"weights": weights, "num_samples": 1000, "horizon": 30})
-        loops[count] = TimedLoop(made.controller, made.scenario, made.key, CHUNK)
-    seconds: dict[int, list[float]] = {count: [] for count in counts}
+    seconds: dict[int, list[float]] = {count: [] for count in loops}
     for _ in range(-(-steps // CHUNK) + 1):
         for count, loop in loops.items():
             seconds[count].extend(loop.run(1) for _ in range(CHUNK))
-    rows = []
-    for count, times in seconds.items():
-        p50, p99 = 1e3 * np.percentile(times[CHUNK:], [50, 99])
-        rows.append({"members": count, "p50 ms": float(p50), "p99 ms": float(p99)})
-    first = rows[0]["p50 ms"]
-    return [{**row, "times one": row["p50 ms"] / first, "Hz": 1e3 / row["p50 ms"]} for row in rows]
+    # The first chunk warms up, unless it is all there is.
+    rows = [
+        {"members": count, **percentiles(times[CHUNK:] or times)}
+        for count, times in seconds.items()
+    ]
+    first = rows[0]["p50_ms"]
+    return [{**row, "times one": row["p50_ms"] / first, "Hz": 1e3 / row["p50_ms"]} for row in rows]
 
 
-def parts() -> list[dict[str, Any]]:
-    """Return times of the parts of the warehouse's step, one call at a time, after 5 s."""
-    controller, scenario, _, key = experiment("warehouse", {})
+def _parts(loop: TimedLoop, runs: int) -> Rows:
+    """Return times of the parts of the warehouse's step, one call at a time."""
+    controller, scenario, state, key = loop.controller, loop.scenario, loop.state, loop.key
     assert isinstance(scenario, ExplorationScenario)
-    loop = TimedLoop(controller, scenario, key, 250)
-    loop.run(250)
-    controller, state = loop.controller, loop.state
     belief, pose = state.task.belief, state.task.belief.pose
     scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     elapsed = jnp.asarray(0.2)
@@ -74,11 +94,7 @@ def parts() -> list[dict[str, Any]]:
             elapsed,
         ),
     }
-    rows = []
-    for name, (function, *arguments) in calls.items():
-        measured = timed(function, *arguments)
-        rows.append({"": name, "p50 ms": measured.p50_ms, "p99 ms": measured.p99_ms})
-    return rows
+    return [{"": name, **timed(*call, runs=runs).row()} for name, call in calls.items()]
 
 
 def _weights(role: str) -> dict[str, float]:

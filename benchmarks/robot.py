@@ -11,52 +11,66 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.setting import MAPS, OFFICE
+from benchmarks.setting import available_maps
+from benchmarks.tables import Rows
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.ros.packages import import_ros
 from jaxplore.simulation.run import Run
 
-SITES = ("nav2_depot/depot.yaml", "levine_lobby/levinelobby.yaml")
+SITES = {"nav2_depot": "nav2_depot/depot.yaml", "levine_lobby": "levine_lobby/levinelobby.yaml"}
 """Maps of the drives, where they are."""
-DRIVE_SECONDS, PATIENCE = 300.0, 120.0
-"""Longest drive, and longest time that any process may take to begin [s]."""
+PATIENCE = 120.0
+"""Longest time that any process may take to begin [s]."""
 DELAY = 0.04
 """Time between a command and its effect on the simulated robot [s]."""
 COMMAND = [sys.executable, "-m", "jaxplore"]
 
 
-def measure(minutes: float = 2.0) -> dict[str, list[dict[str, Any]]]:
-    """Return the drives of the node with 1000 rollouts of 40 steps, and its memory.
+class Sizes(NamedTuple):
+    """Files of maps by name, options of the node, longest drive [s], and duration of the drive
+    along a path whose memory is measured [min]."""
 
-    Args:
-        minutes: duration of the drive along a path whose memory is measured.
-    """
+    maps: Mapping[str, str] = available_maps(SITES)
+    options: tuple[str, ...] = ()
+    drive_seconds: float = 300.0
+    minutes: float = 2.0
+
+
+FULL = Sizes()
+SMALL = ("--set", "controller.num_samples=8", "--set", "controller.horizon=4")
+SMOKE = Sizes({"office": "office"}, SMALL, 2.0, 0.0)
+TITLES = {
+    "drives": "The node with a simulated robot in another process: 1000 rollouts of 40 steps",
+    "memory": "Memory of the node while it follows paths",
+}
+
+
+def measure(sizes: Sizes) -> dict[str, Rows]:
+    """Return the drives of the node, and its memory; nothing without ROS."""
     if importlib.util.find_spec("rclpy") is None:
         return {"drives": [], "memory": []}
-    found = [MAPS / each for each in SITES if (MAPS / each).exists()]
-    drives = [_drive(str(each), each.parent.name) for each in found]
-    drives = drives or [_drive(OFFICE.path, OFFICE.name)]
-    return {"drives": drives, "memory": _memory(minutes)}
+    drives = [_drive(world, name, sizes) for name, world in sizes.maps.items()]
+    return {"drives": drives, "memory": _memory(sizes) if sizes.minutes > 0.0 else []}
 
 
-def _drive(world: str, name: str) -> dict[str, Any]:
+def _drive(world: str, name: str, sizes: Sizes) -> dict[str, Any]:
     """Explore a map until the node is done."""
     with _field() as (place, watcher, start):
         robot = start("robot", world, "--delay", str(DELAY), "--time-limit", "600")
         watcher.wait(lambda: watcher.robot)
-        node = start("node", "--set", "node.latency=0.06")
+        node = start("node", "--set", "node.latency=0.06", *sizes.options)
         watcher.moved_at = None
         began = time.monotonic()
         watcher.wait(lambda: watcher.moved_at is not None)
         first = (watcher.moved_at or began) - began
-        deadline = time.monotonic() + DRIVE_SECONDS
+        deadline = time.monotonic() + sizes.drive_seconds
         while node.poll() is None and robot.poll() is None and time.monotonic() < deadline:
             time.sleep(0.1)
         told = watcher.node
@@ -77,7 +91,7 @@ def _drive(world: str, name: str) -> dict[str, Any]:
     }
 
 
-def _memory(minutes: float) -> list[dict[str, Any]]:
+def _memory(sizes: Sizes) -> Rows:
     """Drive around in a hall, and return the memory of the node over time."""
     # Half circles in the middle of an empty hall, one after the other.
     angles = np.linspace(0.0, np.pi, 60)
@@ -93,16 +107,16 @@ def _memory(minutes: float) -> list[dict[str, Any]]:
         start("robot", str(world), "--delay", str(DELAY), *endless)
         watcher.wait(lambda: watcher.robot)
         options = ["--mode", "follow", "--set", "node.latency=0.06", "--set", "node.map_size=20"]
-        node = start("node", *options)
+        node = start("node", *options, *sizes.options)
         watcher.wait(lambda: watcher.node)
         began = time.monotonic()
         due = 0.0
-        while time.monotonic() - began < 60.0 * minutes:
+        while time.monotonic() - began < 60.0 * sizes.minutes:
             if watcher.node["reason"] in ("no path yet", "at the end of the path"):
                 watcher.follow(next(halves))
             time.sleep(1.0)
             if time.monotonic() - began >= due:
-                due += 60.0 * minutes / 6.0
+                due += 60.0 * sizes.minutes / 6.0
                 pages = int(Path(f"/proc/{node.pid}/statm").read_text().split()[1])
                 size = pages * os.sysconf("SC_PAGE_SIZE") / 2**20
                 rows.append(

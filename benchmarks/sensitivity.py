@@ -6,12 +6,11 @@ missing.
 """
 
 import statistics
-from typing import Any
+from typing import Any, NamedTuple
 
+from benchmarks.tables import Rows
 from jaxplore.study.tuning import Episode, Objective, Result, SettingsEpisodes
 
-FACTORS = (0.25, 0.5, 2.0, 4.0)
-SEEDS = 3
 OBJECTIVE = Objective.parse("finished_at")
 SMALL_OFFICE = {
     "map": "office",
@@ -22,7 +21,8 @@ SMALL_OFFICE = {
     # Its default depends on the side of a cell, so that there would be no number to scale.
     "fields": {"min_information": 10.0},
 }
-PLACES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+Places = dict[str, tuple[dict[str, Any], tuple[str, ...]]]
+PLACES: Places = {
     "path": (
         {"path": "track", "time_limit": 40.0},
         (
@@ -53,20 +53,45 @@ PLACES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 }
 
 
-def measure() -> list[dict[str, Any]]:
+class Sizes(NamedTuple):
+    """Entries of settings and names of those that are changed, by place, factors, and seeds."""
+
+    places: Places = PLACES
+    factors: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
+    runs: int = 2
+
+
+FULL = Sizes()
+SMOKE = Sizes(
+    {
+        "path": (
+            {
+                "path": "track",
+                "time_limit": 0.5,
+                "controller": {"num_samples": 8, "horizon": 4},
+            },
+            ("controller.temperature",),
+        )
+    },
+    (2.0,),
+    1,
+)
+
+
+def measure(sizes: Sizes) -> Rows:
     """Return a row for each setting: times as long as with the default, for each factor."""
     rows = []
-    for place, (entries, settings) in PLACES.items():
+    for place, (entries, settings) in sizes.places.items():
         episodes = SettingsEpisodes({place: entries})
-        default = _seconds(episodes, place, {})
+        default = _seconds(episodes, place, {}, sizes.runs)
         for setting in settings:
             row: dict[str, Any] = {"scenario": place, "setting": setting}
-            for factor in FACTORS:
+            for factor in sizes.factors:
                 values = {
                     name: _scaled(episodes.start(name), factor)
                     for name in episodes.elements(setting)
                 }
-                row[f"x {factor:g}"] = _seconds(episodes, place, values) / default
+                row[f"x {factor:g}"] = _seconds(episodes, place, values, sizes.runs) / default
             rows.append({**row, "default_s": default})
     return rows
 
@@ -75,12 +100,12 @@ def _scaled(value: Any, factor: float) -> float | int:
     return max(1, round(value * factor)) if isinstance(value, int) else float(value) * factor
 
 
-def _seconds(episodes: SettingsEpisodes, place: str, values: dict[str, Any]) -> float:
+def _seconds(episodes: SettingsEpisodes, place: str, values: dict[str, Any], runs: int) -> float:
     found: list[float] = []
 
     def keep(_: Episode, result: Result) -> None:
         failed = result.error is not None
         found.append(float("inf") if failed else OBJECTIVE.value(result.metrics))
 
-    episodes.run([Episode(0, values, place, seed) for seed in range(SEEDS)], keep)
+    episodes.run([Episode(0, values, place, seed) for seed in range(runs)], keep)
     return statistics.fmean(found)

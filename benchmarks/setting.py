@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.simulation.experiment import Experiment
@@ -27,6 +27,13 @@ SITES = (
     Site("aws_small_warehouse_005", "aws_small_warehouse_005/map.yaml", (-0.92, -2.47, 0.0)),
 )
 OFFICE = Site("office", "office", None)
+SMALL_OFFICE = Site("small office", "office", None)
+SMALL: dict[str, Any] = {
+    "office": {"width": 8.0, "height": 7.0},
+    "controller": {"num_samples": 8, "horizon": 4},
+    "time_limit": 0.5,
+}
+"""Changes of the default explorer that make it cheap."""
 
 
 def available_sites() -> tuple[Site, ...]:
@@ -37,7 +44,7 @@ def available_sites() -> tuple[Site, ...]:
 
 def experiment(site: Site, seed: int = 0, **changes: object) -> Experiment:
     """Return the default explorer on a site."""
-    path = site.path if site is OFFICE else str(MAPS / site.path)
+    path = site.path if site in (OFFICE, SMALL_OFFICE) else str(MAPS / site.path)
     entries = {"map": path, "start": site.start, "seed": seed, "time_limit": 400.0, **changes}
     return build(make_settings(entries))
 

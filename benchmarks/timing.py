@@ -2,10 +2,11 @@
 
 import dataclasses
 import json
+import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,33 @@ class Timed:
     """Times of one function; compilation and warm-up apart."""
 
     compile_seconds: float
-    p50_ms: float
-    p99_ms: float
-    runs: int
+    seconds: list[float]
+
+    @property
+    def p50_ms(self) -> float:
+        """The median [ms]."""
+        return 1e3 * float(np.median(self.seconds))
+
+    def row(self) -> dict[str, Any]:
+        """Return the median, the 99th percentile, and the repetitions."""
+        return percentiles(self.seconds)
+
+
+REPEATS = 5
+"""Number of parts of a measurement of which `python -m benchmarks --compare` knows the medians."""
+
+
+def percentiles(seconds: Sequence[float]) -> dict[str, Any]:
+    """Return the median and the 99th percentile of times [ms], and `repeats`: the medians of parts
+    one after the other, which say how much the machine let the median vary meanwhile.
+
+    Args:
+        seconds: times in the order in which they were taken [s].
+    """
+    p50, p99 = 1e3 * np.percentile(seconds, [50, 99])
+    parts = np.array_split(np.asarray(seconds), min(REPEATS, len(seconds)))
+    repeats = [1e3 * float(np.median(part)) for part in parts]
+    return {"p50_ms": float(p50), "p99_ms": float(p99), "repeats": repeats}
 
 
 def timed(
@@ -44,8 +69,7 @@ def timed(
         began = time.perf_counter()
         _wait(compiled(*arguments))
         seconds.append(time.perf_counter() - began)
-    p50, p99 = 1e3 * np.percentile(seconds, [50, 99])
-    return Timed(first, float(p50), float(p99), runs)
+    return Timed(first, seconds)
 
 
 class TimedLoop:
@@ -90,19 +114,29 @@ class TimedLoop:
         return chunks, single
 
 
-def in_own_processes(module: str, cases: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
+def in_own_processes(
+    module: str, cases: Sequence[Sequence[object]], environment: Mapping[str, str] | None = None
+) -> list[dict[str, Any]]:
     """Return the row of each case, measured in a process of its own, so that its memory is that of
     the process.
 
     Args:
         module: module that prints the row of the case in its arguments as JSON, in its last line.
-        cases: numbers of each case.
+        cases: arguments of each case.
+        environment: variables that are set for the process.
     """
     rows = []
     for each in cases:
         command = [sys.executable, "-m", module, *map(str, each)]
         folder = Path(__file__).parents[1]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=folder)
+        done = subprocess.run(
+            command,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+            cwd=folder,
+            env={**os.environ, **(environment or {})},
+        )
         rows.append(json.loads(done.stdout.splitlines()[-1]))
         print(rows[-1], flush=True)
     return rows

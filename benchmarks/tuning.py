@@ -16,13 +16,15 @@ import dataclasses
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 import jaxplore as jx
+from benchmarks import sensitivity
+from benchmarks.tables import Rows
 from jaxplore._types import Key
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.settings.path import make_path_settings
@@ -39,9 +41,6 @@ from jaxplore.study.tuning import (
     open_study,
 )
 
-ROUNDS = 3
-"""Generations timed of each, after two that compile and warm up."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
@@ -54,16 +53,34 @@ class Problem:
     population: int
 
 
-def measure() -> list[dict[str, Any]]:
-    """Return a row for each problem."""
-    return [_row(problem) for problem in (_point_mass(), _track(64), _track(512), _office())]
+class Sizes(NamedTuple):
+    """Problems, generations timed of each after two that compile and warm up, and the sizes of
+    `benchmarks.sensitivity`."""
+
+    problems: Callable[[], Sequence[Problem]]
+    rounds: int
+    settings: sensitivity.Sizes
 
 
-def _row(problem: Problem) -> dict[str, Any]:
+FULL = Sizes(lambda: (_point_mass(64), _track(64), _track(512), _office()), 3, sensitivity.FULL)
+SMOKE = Sizes(lambda: (_point_mass(4),), 1, sensitivity.SMOKE)
+TITLES = {
+    "episodes": "Episodes of a search, a population side by side and one by one",
+    "sensitivity": "One setting at a time, times as long as with the default",
+}
+
+
+def measure(sizes: Sizes) -> dict[str, Rows]:
+    """Return a row for each problem, and the effect of settings."""
+    rows = [_row(problem, sizes.rounds) for problem in sizes.problems()]
+    return {"episodes": rows, "sensitivity": sensitivity.measure(sizes.settings)}
+
+
+def _row(problem: Problem, rounds: int) -> dict[str, Any]:
     rates: dict[str, list[tuple[float, float]]] = {}
     # In turn, so that a busy minute of the machine is not one way's alone.
     together, alone = _generations(problem, problem.population), _generations(problem, 1)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for name, generation in (("vmap", together), ("one by one", alone)):
             rates.setdefault(name, []).append(generation())
     side, one = (
@@ -77,6 +94,7 @@ def _row(problem: Problem) -> dict[str, Any]:
         "episodes_per_second_one_by_one": one[0],
         "times_as_many": side[0] / one[0],
         "times_as_many_with_the_search": side[1] / one[1],
+        "repeats": [1.0 / rate for rate, _ in rates["vmap"]],
     }
 
 
@@ -126,7 +144,7 @@ def _generations(problem: Problem, batch: int) -> Callable[[], tuple[float, floa
     return generation
 
 
-def _point_mass() -> Problem:
+def _point_mass(population: int) -> Problem:
     robot = jx.PointMass(2, max_acceleration=4.0)
     cost = jx.StateCost({"x": 1.0, "y": 1.0}) + 0.1 * jx.costs.QuadraticControlCost([1.0, 1.0])
     controller = jx.MPPI(
@@ -156,7 +174,7 @@ def _point_mass() -> Problem:
         lambda batch: VectorEpisodes(episode, {"temperature": 0.3, "noise": 1.0}, batch=batch),
         ("temperature", "noise"),
         "cost",
-        64,
+        population,
     )
 
 
@@ -189,4 +207,4 @@ def _office() -> Problem:
 
 
 if __name__ == "__main__":
-    print(*measure(), sep="\n")
+    print(*measure(FULL)["episodes"], sep="\n")

@@ -3,25 +3,41 @@
 import contextlib
 import multiprocessing
 import time
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 import viser
 from websockets.sync.client import connect
 
-from benchmarks.setting import available_sites, experiment
+from benchmarks.setting import SMALL, SMALL_OFFICE, Site, available_sites, experiment
+from benchmarks.tables import Rows
+from benchmarks.timing import percentiles
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.monitor import Monitor, Update
 from jaxplore.simulation.run import simulate
 from jaxplore.view import LiveView
 
-STEPS = 1500
-"""Number of steps of a run."""
-PAIRS = 11
-"""Number of runs with a view and without one, in turn."""
+TRACK: dict[str, Any] = {"path": "track", "laps": 5, "obstacles": {"number": 5}}
+
+
+class Sizes(NamedTuple):
+    """A site, changes of its explorer, entries of further tasks by name, numbers of pages, steps of
+    a run, and how often one with a view and one without take turns."""
+
+    site: Site = available_sites()[0]
+    changes: Mapping[str, Any] = {}
+    others: Mapping[str, dict[str, Any]] = {"track, 5 obstacles": TRACK}
+    pages: tuple[int, ...] = (0, 1)
+    run_steps: int = 1500
+    pairs: int = 5
+
+
+FULL = Sizes()
+SMOKE = Sizes(SMALL_OFFICE, SMALL, {}, (1,), 25, 1)
+TITLES = {"runs": "A live view, in times as long as a run without one"}
 
 
 class Counted(LiveView):
@@ -35,28 +51,29 @@ class Counted(LiveView):
         self.frames += 1
 
 
-def measure(steps: int = STEPS) -> list[dict[str, Any]]:
+def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the time of a step with a view as a multiple of that without, for two tasks.
 
     Runs with and without a view take turns in one process, and the ratio is the median over pairs:
     what else the machine does slows both.
     """
-    site = available_sites()[0]
-    track = build(make_settings({"path": "track", "laps": 5, "obstacles": {"number": 5}}))
+    tasks = {sizes.site.name: experiment(sizes.site, **sizes.changes)}
+    tasks |= {name: build(make_settings(entries)) for name, entries in sizes.others.items()}
     rows = []
-    for name, made in ((site.name, experiment(site)), ("track, 5 obstacles", track)):
-        for title, number in (("no page", 0), ("one page", 1)):
-            rows.append({"run": name, "view": title, **_ratio(made, steps, number)})
-    return rows
+    for name, made in tasks.items():
+        for number in sizes.pages:
+            times = _ratio(made, sizes.run_steps, sizes.pairs, number)
+            rows.append({"run": name, "view": f"pages: {number}", **times})
+    return {"runs": rows}
 
 
-def _ratio(made: Experiment, steps: int, number: int) -> dict[str, Any]:
+def _ratio(made: Experiment, steps: int, pairs: int, number: int) -> dict[str, Any]:
     view = Counted()
     with contextlib.closing(view), _pages(view, number):
         # The first run compiles.
         _seconds(made, steps, [view])
         with_view, without, frames = [], [], []
-        for _ in range(PAIRS):
+        for _ in range(pairs):
             without.append(_seconds(made, steps, []))
             view.frames = 0
             with_view.append(_seconds(made, steps, [view]))
@@ -68,6 +85,7 @@ def _ratio(made: Experiment, steps: int, number: int) -> dict[str, Any]:
         "least": float(ratios.min()),
         "greatest": float(ratios.max()),
         "frames_per_second": float(np.median(frames)),
+        "repeats": percentiles(with_view)["repeats"],
     }
 
 

@@ -32,11 +32,12 @@ def main() -> None:
         problem = {name: torch.as_tensor(file[name]) for name in file.files}
     variant = sys.argv[2]
     model, cost = _drive(problem) if "cost_map" in problem else _quadrotor(problem)
-    result: dict[str, Any] = _timed(_controller(variant, problem, model, cost), problem["start"])
+    state, runs = problem["start"], int(problem["runs"])
+    result: dict[str, Any] = _timed(_controller(variant, problem, model, cost), state, runs)
     compiled = _controller(variant, problem, model, cost)
     compiled.compile()
     try:
-        result["compiled"] = _timed(compiled, problem["start"])
+        result["compiled"] = _timed(compiled, state, runs)
     except Exception as error:  # There is no C++ compiler, for instance.
         print(f"pytorch_mppi does not compile: {error}", file=sys.stderr)
         result["compiled"] = None
@@ -74,14 +75,14 @@ def _controller(variant: str, problem: dict[str, Any], model: Model, cost: Model
     return peer.MPPI(*sizes, torch.diag(std**2), **shared)
 
 
-def _timed(controller: Any, state: Any) -> dict[str, float]:
+def _timed(controller: Any, state: Any, runs: int) -> dict[str, float]:
     began = time.perf_counter()
     controller.command(state)
     first = time.perf_counter() - began
     for _ in range(3):
         controller.command(state)
     seconds: list[float] = []
-    while len(seconds) < 20 or (len(seconds) < 200 and sum(seconds) < 10.0):
+    while len(seconds) < runs and (len(seconds) < 20 or sum(seconds) < 10.0):
         began = time.perf_counter()
         controller.command(state)
         seconds.append(time.perf_counter() - began)

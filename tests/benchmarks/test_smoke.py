@@ -1,0 +1,42 @@
+"""Every section of `python -m benchmarks` runs, with tiny sizes."""
+
+import json
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from benchmarks.__main__ import SECTIONS
+
+pytestmark = pytest.mark.long
+
+EMPTY = {"ratios", "drives", "memory"}
+"""Tables that are empty where a peer or ROS is not installed."""
+ENDS = ("_ms", " ms", "_s", " s", "_seconds")
+
+
+def numbers(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a result with the names that they have."""
+    if isinstance(value, dict):
+        for key, each in value.items():
+            yield from numbers(each, key)
+    elif isinstance(value, list):
+        for each in value:
+            yield from numbers(each, name)
+    elif isinstance(value, int | float):
+        yield name, value
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_section_measures_with_tiny_sizes(name: str) -> None:
+    section = SECTIONS[name]
+    found = section.measure(section.SMOKE)
+    assert set(section.TITLES) <= set(found)
+    assert {table for table, rows in found.items() if not rows} <= EMPTY
+    # Numbers of NumPy and of JAX are no JSON, nor is what is not finite.
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    for table, rows in found.items():
+        assert all(list(row) for row in rows), table
+    times = [each for each in numbers(found) if each[0] == "repeats"]
+    assert times or name in ("exploration", "robot")
+    assert all(math.isfinite(time) and time > 0.0 for _, time in times)
