@@ -1,4 +1,7 @@
-"""Wrong types and swapped arguments: one line that names the argument, without beartype."""
+"""Wrong types, numbers out of bounds and swapped arguments: one line that names the argument.
+
+The program runs without beartype.
+"""
 
 import json
 import os
@@ -170,3 +173,14 @@ def test_a_mistake_gets_one_line(told: dict[str, dict[str, str]]) -> None:
 def test_every_wrong_type_is_refused_by_name(told: dict[str, dict[str, str]]) -> None:
     assert {call: said for call, said in told["walk"].items() if call not in RIGHT} == {}
     assert set(told["walk"]) == RIGHT
+
+
+def test_what_is_refused_is_what_refusals_state(told: dict[str, dict[str, str]]) -> None:
+    """Compare with the table of bounds.
+
+    A line is an argument, the bound that its refusals state, and each number that ends in another
+    way than its side of the bound says. A new argument or bound is a new line.
+    """
+    table = (Path(__file__).parent / "bounds.txt").read_text().splitlines()
+    found = sorted(f"{argument}: {line}" for argument, line in told["bounds"].items())
+    assert found == table

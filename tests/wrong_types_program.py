@@ -9,7 +9,7 @@ import json
 import sys
 import types
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,8 @@ from jaxplore import (
     sensing,
     simulation,
 )
-from wrong_types_methods import WRONG, methods, outcome, walk_method
+from wrong_types_bounds import bounds
+from wrong_types_methods import WRONG, methods, outcome, traced
 
 PACKAGES = (jx, belief, control, costs, dynamics, geometry, information, maps, planning, sensing)
 PACKAGES += (simulation, localisation)
@@ -98,6 +99,23 @@ INNER = {
 
 RUNNING = {"compare", "map_log", "optimised", "record_runs", "simulate", "simulate_in_parts"}
 """Functions that compile and run a loop if nothing is wrong. Then their own tests do."""
+
+
+SLOW = {
+    "MPPI.inspect",
+    "NoiseBank",
+    "Portfolio.inspect",
+    "VolumePerception.num_elevations",
+    "VolumePerception.num_sectors",
+    "explorer",
+    "ground_portfolio",
+    "informative_mppi",
+    "mpcc",
+    "volume_explorer",
+    "volume_informative_mppi",
+    "volume_target_explorer",
+}
+"""Calls that take long with numbers at their bounds: only what is refused is tried."""
 
 
 def everything() -> dict[str, Callable[..., Any]]:
@@ -344,34 +362,91 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     return common, own
 
 
-def walk(folder: Path) -> Iterator[tuple[str, str]]:
-    """Yield each call that ends in another way than it should, and how."""
+def numbers() -> dict[str, Any]:
+    """Return accepted numbers of arguments whose default is none, or of another shape."""
+    return {
+        "AnomalyTest.forbidden": [[0.0, 0.0, 1.0, 1.0]],
+        "Contextual.goal": [1.0, 1.0],
+        "ExplorationScenario.goal": [3.0, 3.0],
+        "Faults.carried_to": [1.0, 1.0, 0.0],
+        "GaussianProposal.mean": [0.0],
+        "InjectedProposal.sequences": np.zeros((1, 4, 2)).tolist(),
+        "MovingObstacles.phase": [0.0],
+        "PathScenario.start": [0.0, 0.0, 0.0],
+        "Perception.goal": [3.0, 3.0],
+        "Obstacles.centres": [[0.0, 0.0]],
+        "Obstacles.covariance": [[0.1, 0.0], [0.0, 0.1]],
+        "Obstacles.velocities": [[0.0, 0.0]],
+        "Portfolio.floors": [1.0, 1.0],
+        "Portfolio.horizons": [4, 4],
+        "Portfolio.noise_scales": [1.0, 1.0],
+        "Portfolio.temperatures": [1.0, 1.0],
+        "QuadraticControlCost.target": [0.0, 0.0],
+        "Recognition.prior": [0.5, 0.5],
+        "Shapes.discs": [[1.0, 1.0, 0.5]],
+        "Shapes.rectangles": [[0.0, 0.0, 1.0, 1.0]],
+        "Shapes.walls": [[0.0, 0.0, 1.0, 1.0]],
+        "StateBoundsCost.scale": {"v": 1.0},
+        "StateBoundsCost.upper": {"v": 1.0},
+        "StateCost.target": {"x": 1.0},
+        "VolumePerception.window": [8.0, 8.0, 4.0],
+        "World.forbidden": [[3.0, 3.0, 4.0, 4.0]],
+        "World.goal": [4.0, 4.0],
+        "World.hills": [[3.0, 3.0, 0.1, 2.0]],
+        "World.targets": [[4.0, 4.0]],
+        "World.zones": [[3.0, 3.0, 4.0, 4.0]],
+        "explorer.noise_std": [1.0, 1.0],
+        "informative_mppi.goal": [1.0, 1.0, 1.0],
+        "mpcc.noise_std": [1.0, 1.0, 1.0],
+        "waypoint_mppi.noise_std": [1.0, 1.0],
+    }
+
+
+def walk(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Return each call that ends in another way than it should, and the bounds of arguments."""
     common, own = examples(folder)
-    for label, (method, given) in methods(folder, own).items():
-        yield from walk_method(label, method, given)
+    wrong, found = {}, {}
+    more = numbers()
+    calls = [
+        (label, traced(method), given, inspect.signature(method).parameters, list(given))
+        for label, (method, given) in methods(folder, own).items()
+    ]
     for label, call in everything().items():
-        signature = inspect.signature(call).parameters.values()
-        variable = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
-        parameters = [each for each in signature if each.kind not in variable]
+        parameters = {
+            name: each
+            for name, each in inspect.signature(call).parameters.items()
+            if each.kind not in (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+        }
         given = own.get(label, {})
         needed = {
-            each.name: given.get(each.name, common.get(each.name))
-            for each in parameters
-            if each.default is each.empty or each.name in given
+            name: given.get(name, common.get(name))
+            for name, each in parameters.items()
+            if each.default is each.empty or name in given
         }
+        calls.append((label, call, needed, parameters, list(parameters)))
+    for label, call, given, parameters, names in calls:
         try:
-            if label not in RUNNING:
-                call(**needed)
+            # An unfinished run has nothing to save. To trace the step of a controller takes half a
+            # second; the tests of each do.
+            is_step = label.endswith((".step", ".inspect")) and "observation" in given
+            if label not in RUNNING and not label.startswith("Run.") and not is_step:
+                call(**given)
         except Exception as error:
-            yield label, f"the example is refused: {error!r}"
+            wrong[label] = f"the example is refused: {error!r}"
             continue
-        for each in parameters:
-            for kind, wrong in WRONG.items():
-                if wrong is each.default:
+        for name in names:
+            default = parameters[name].default
+            for kind, value in WRONG.items():
+                if value is default:
                     continue
-                said = outcome(call, each.name, needed | {each.name: wrong})
+                said = outcome(call, name, given | {name: value})
                 if said is not None:
-                    yield f"{label}({each.name}={kind})", said
+                    wrong[f"{label}({name}={kind})"] = said
+            value = given.get(name, more.get(f"{label}.{name}", default))
+            is_slow = bool({label, f"{label}.{name}"} & (RUNNING | SLOW))
+            lines = bounds(call, given, name, value, is_slow=is_slow)
+            found |= {f"{label}.{name}{place}": line for place, line in lines.items()}
+    return wrong, found
 
 
 class WithoutAnnotations(jx.Dynamics):
@@ -501,4 +576,7 @@ if __name__ == "__main__":
     # Of each of some thousand errors JAX would sort its own lines out.
     jax.config.update("jax_traceback_filtering", "off")
     said = {name: message(call) for name, call in mistakes().items()}
-    json.dump({"mistakes": said, "walk": dict(walk(Path(sys.argv[1])))}, sys.stdout, indent=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        wrong, found = walk(Path(sys.argv[1]))
+    json.dump({"mistakes": said, "walk": wrong, "bounds": found}, sys.stdout, indent=1)

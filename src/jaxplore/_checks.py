@@ -199,12 +199,14 @@ def near(name: str, value: Any, step: float) -> None:
     if isinstance(value, jax.core.Tracer):
         return
     given = np.asarray(value, np.float64)
-    worst = float(np.max(np.abs(given), where=np.isfinite(given), initial=0.0))
+    far = np.where(np.isfinite(given), given, 0.0).ravel()
+    signed = float(far[np.argmax(np.abs(far))]) if far.size else 0.0
+    worst = abs(signed)
     # From 2^e to 2^(e + 1) numbers in single precision are 2^(e - 23) apart.
     limit = 2.0 ** (math.floor(math.log2(step)) + 24)
     if worst >= limit:
         raise ValueError(
-            f"{name} has a coordinate of {worst:.10g} m, where single precision resolves "
+            f"{name} has a coordinate of {signed:.10g} m, where single precision resolves "
             f"{2.0 ** (math.floor(math.log2(worst)) - 23):.2g} m; accepted: less than {limit:g} m, "
             "or relative to a datum, see jaxplore.maps.Datum"
         )

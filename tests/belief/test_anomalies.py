@@ -317,10 +317,6 @@ def test_information_leads_to_where_a_second_look_is_possible() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"false_alarms": 0.0}, "false_alarms is 0.0; accepted: a finite number > 0.0 and < 1.0"),
-        ({"near": -1.0}, "near is -1.0"),
-        ({"attention": 1.0}, "attention is 1.0"),
-        ({"looks": 0}, "looks is 0"),
         ({"forbidden": [(1.0, 2.0)]}, r"forbidden has shape \(1, 2\); accepted: \(F, 4\)"),
     ],
 )

@@ -463,15 +463,6 @@ def test_passages_are_those_of_their_definition() -> None:
     np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.parametrize(
-    ("radius", "message"),
-    [(0.0, "turning_radius is 0.0; accepted: a finite number > 0"), (-1.0, "turning_radius is -1")],
-)
-def test_bad_radii_are_refused(radius, message) -> None:
-    with pytest.raises(ValueError, match=message):
-        CarMotion(radius, BODY)
-
-
 def test_a_turning_radius_beyond_the_lattice_is_refused() -> None:
     with pytest.raises(ValueError, match=r"turning_radius is 50 m; accepted: .* at most 8 m"):
         CarMotion(50.0, BODY).lattice(SPACING)

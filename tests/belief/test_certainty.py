@@ -162,19 +162,6 @@ def test_a_robot_that_knows_its_place_plans_as_without_it() -> None:
         aware.step(aware.init(), observed, belief, key=key)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"std": 0.0}, r"std is 0.0; accepted"),
-        ({"extent": float("nan")}, r"extent is nan; accepted"),
-        ({"num_directions": 0}, r"num_directions is 0; accepted"),
-    ],
-)
-def test_impossible_numbers_are_refused(wrong: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        CertaintyField(LIDAR, SIDE, **wrong)
-
-
 def test_a_robot_with_a_variance_gets_no_second_one() -> None:
     robot = UncertainRobot(ROBOT, constant(0.0))
     with pytest.raises(

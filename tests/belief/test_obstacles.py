@@ -153,14 +153,9 @@ def test_a_draw_is_known_exactly_and_keeps_its_shape() -> None:
         ({"velocities": [[1.0, 2.0], [3.0, 4.0]]}, "velocities"),
         ({"turn_rates": [1.0, 2.0]}, "turn_rates"),
         ({"centres": [1.0, 2.0]}, "centres"),
-        ({"std": -1.0}, "std"),
         ({"std": 1.0, "covariance": np.eye(2)}, "std"),
         ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "covariance"),
-        ({"growth": float("nan")}, "growth"),
-        ({"turn_growth": -0.1}, "turn_growth"),
-        ({"age": -0.1}, "age"),
         ({"is_known": np.array([True, False])}, r"is_known has shape \(2,\); accepted: \(1,\)"),
-        ({"memory": 0.0}, "memory"),
     ],
 )
 def test_what_is_no_obstacle_is_refused(given_, named) -> None:

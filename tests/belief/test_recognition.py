@@ -240,10 +240,6 @@ def test_the_sums_of_the_field_are_those_of_its_sectors(hall) -> None:
     [
         ({"prior": (0.5, 0.3, 0.3)}, "prior sums to 1.1; accepted: probabilities that sum to 1"),
         ({"prior": (0.5, 0.5)}, r"prior has shape \(2,\); accepted: \(3,\)"),
-        ({"prior": (1.5, -0.5, 0.0)}, r"prior is \[1.5, -0.5, 0.0\]; accepted: values in"),
-        ({"certainty": 0.4}, "certainty is 0.4; accepted: .* > 0.5"),
-        ({"certainty": 1.0}, "certainty is 1.0; accepted: .* < 1"),
-        ({"baseline": -1.0}, "baseline is -1.0; accepted: .* >= 0"),
         ({"target": "dog"}, "target is 'dog'; accepted: person, barrel, door"),
     ],
 )

@@ -146,10 +146,6 @@ def test_headings_between_two_are_interpolated() -> None:
 def test_bad_parts_are_refused() -> None:
     with pytest.raises(ValueError, match="sensors is empty; accepted: one sensor or more"):
         VolumePerception([], 0.1, 0.3)
-    with pytest.raises(ValueError, match=r"radius is -0.1; accepted"):
-        VolumePerception([LIDAR], 0.1, -0.1)
-    with pytest.raises(ValueError, match=r"resolution is 0.0; accepted"):
-        VolumePerception([LIDAR], 0.0, 0.3)
 
 
 def test_what_is_renewed_by_windows_is_what_the_whole_map_gives() -> None:

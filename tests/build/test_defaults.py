@@ -171,12 +171,6 @@ def test_settings_and_python_build_equal_controllers(place: str, architecture: s
     assert_equal(found.controller, by_hand(place, architecture, found.scenario))
 
 
-def test_an_unknown_rule_is_refused(empty_belief) -> None:
-    perception = jx.Perception(jx.Lidar(8, 1.0), 0.5, 0.2, num_directions=4)
-    with pytest.raises(ValueError, match="rule is 'luck'; accepted: wander, random-frontier"):
-        target_explorer(office_robot(), "luck", perception, empty_belief.grid)
-
-
 RACE_CAR = jx.Ackermann(
     wheelbase=0.33,
     max_speed=5.0,

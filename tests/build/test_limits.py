@@ -20,10 +20,6 @@ from jaxplore.build.onboard import make_node_settings
 from jaxplore.build.tasks import make_settings
 from jaxplore.cli import main
 from jaxplore.cli._tune_entries import parse_budget
-from jaxplore.control.latency import LatencyCompensation
-from jaxplore.geometry.footprint import Rectangle
-from jaxplore.geometry.track import race_track
-from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps.files.images import image_size, read_greys
 from jaxplore.maps.files.ros import map_size
 from jaxplore.maps.padding import padded_shape
@@ -157,14 +153,7 @@ def test_maps_of_4000_x_4000_cells_fit_into_16_gigabytes(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: jx.Lidar(num_beams=BILLION),
-        lambda: jx.Lidar(max_range=1e9),
-        lambda: jx.Camera(num_beams=BILLION),
-        lambda: jx.Faults(control_delay=BILLION),
         lambda: jx.office(width=300.0, height=300.0),
-        lambda: race_track(num_bends=10**6),
-        lambda: Rectangle(100.0, 0.0, 1e-3),
-        lambda: FieldSensor(jx.Lidar(), 0.1, BILLION),
         lambda: Measure("coverage", 0.0, 1.0, 10**9),
         lambda: check_number_of_seeds("seeds", range(BILLION)),
         lambda: check_number_of_seeds("seeds", range(10**18)),
@@ -174,9 +163,6 @@ def test_maps_of_4000_x_4000_cells_fit_into_16_gigabytes(tmp_path: Path) -> None
         lambda: parse_budget("9" * 5000),
         lambda: parse_budget("9" * 400 + "h"),
         lambda: _checks.positive_int("n", 10**5000, at_most=7),
-        lambda: LatencyCompensation(
-            jx.explorer(jx.DifferentialDrive(), num_samples=2), 1e4, jx.DifferentialDrive(), 1e-3
-        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore:max_range is")

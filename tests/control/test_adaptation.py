@@ -98,11 +98,6 @@ def test_what_is_new_is_within_the_bounds(floor: float, ceiling: float, new: flo
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: CovarianceAdaptation(-0.1), r"rate is -0.1; accepted: .* >= 0.0 and <= 1.0"),
-        (lambda: CovarianceAdaptation(1.1), r"rate is 1.1; accepted: .* >= 0.0 and <= 1.0"),
-        (lambda: CovarianceAdaptation(math.nan), r"rate is nan; accepted"),
-        (lambda: CovarianceAdaptation(floor=0.0), r"floor is 0.0; accepted: .* > 0.0"),
-        (lambda: CovarianceAdaptation(ceiling=-1.0), r"ceiling is -1.0; accepted: .* > 0.0"),
         (
             lambda: CovarianceAdaptation(floor=0.5, ceiling=0.4),
             r"ceiling is 0.4; accepted: at least the floor, 0.5",

@@ -195,7 +195,6 @@ def test_settings_choose_a_rule() -> None:
     ("given", "said"),
     [
         ((8, 5), r"min_horizon is 8; accepted: at most max_horizon, 5"),
-        ((0, 5), r"min_horizon is 0; accepted: a whole number >= 1"),
         ((2, 13), r"max_horizon is 13; accepted: at most the horizon of the controller, 12"),
     ],
 )

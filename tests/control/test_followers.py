@@ -631,26 +631,6 @@ class TestConstruction:
         with pytest.raises(ValueError, match=f"dynamics is a PointMass; accepted: a {accepted}"):
             follower(model, jnp.zeros(4), jnp.zeros((3, 2)), 0.1)
 
-    @pytest.mark.parametrize(
-        ("make", "name"),
-        [
-            *((QuadrotorFollower, f"{name}_gain") for name in ("position", "velocity")),
-            *((QuadrotorFollower, name) for name in ("attitude_gain", "yaw_gain", "max_tilt")),
-            *((UnicycleFollower, f"{name}_gain") for name in ("position", "heading")),
-            *((DifferentialDriveFollower, f"{name}_gain") for name in ("position", "heading")),
-            *((DifferentialDriveFollower, f"{name}_gain") for name in ("speed", "turn_rate")),
-            *((TwistFollower, name) for name in ("position_gain", "heading_gain", "response")),
-        ],
-    )
-    @pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
-    def test_gains_are_positive(self, make, name, value) -> None:
-        with pytest.raises(ValueError, match=rf"{name} is .*accepted: a finite number > 0.0"):
-            make(**{name: value})
-
-    def test_it_cannot_lean_to_the_side(self) -> None:
-        with pytest.raises(ValueError, match=r"max_tilt is 1.6; accepted: .* < 1.57"):
-            QuadrotorFollower(max_tilt=1.6)
-
     @pytest.mark.parametrize("shape", [(0, 3), (4, 1), (4, 4)])
     def test_a_reference_is_made_of_positions(self, shape) -> None:
         with pytest.raises(ValueError, match=r"reference has shape .*accepted: \(T, 2\)"):

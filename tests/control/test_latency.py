@@ -172,8 +172,6 @@ def test_bad_input_is_named() -> None:
     ]:
         with pytest.raises(ValueError, match=f"^{message}"):
             LatencyCompensation(*arguments)
-    with pytest.raises(ValueError, match=r"^robot is None; accepted: a Dynamics"):
-        LatencyCompensation(eqx.tree_at(lambda at: at.dynamics, noted, None), 0.1)
     with pytest.raises(ValueError, match=r"^control_period is None; accepted: the time between"):
         LatencyCompensation(eqx.tree_at(lambda at: at.control_period, noted, None), 0.1)
     with pytest.raises(ValueError, match=r"^latency or control_period is traced; accepted: num"):

@@ -1,7 +1,5 @@
 """`Direct` and `Smooth`; `Knots` has its own file."""
 
-import math
-
 import hypothesis
 import hypothesis.strategies as st
 import jax
@@ -197,9 +195,3 @@ def test_a_horizon_of_1_works(parameterisation) -> None:
     later = parameterisation.shift(nominal, jnp.asarray(1.0), space)
     after = [1.0, 0.5] if isinstance(parameterisation, Smooth) else DEFAULT
     np.testing.assert_allclose(parameterisation.controls(later, space)[0], after, atol=1e-6)
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan, math.inf])
-def test_bad_input_is_named(rate: float) -> None:
-    with pytest.raises(ValueError, match=f"max_rate is {rate}; accepted: a finite number > 0.0"):
-        Smooth(max_rate=rate)

@@ -146,11 +146,3 @@ def test_a_command_that_is_not_finite_is_replaced_and_other_models_brake() -> No
         assert np.isfinite(np.asarray(found.control)).all()
         after = stepped(robot, given[0], np.asarray(found.control)[0])
         assert float(robot.speed(after)) <= float(robot.speed(jnp.asarray(given[0])))
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("margin", -0.1), ("time_step", 0.0), ("horizon", 0.0), ("num_turns", 0)]
-)
-def test_arguments_that_make_no_sense_are_refused(name, value) -> None:
-    with pytest.raises(ValueError, match=f"{name} is {value}"):
-        StopCheck(**{name: value})

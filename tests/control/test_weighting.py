@@ -266,24 +266,3 @@ def test_effective_sample_size() -> None:
         assert float(effective_sample_size(jnp.asarray(weights))) == pytest.approx(expected, 1e-6)
     assert float(effective_sample_size(jnp.zeros(5))) == 0.0
     assert np.isfinite(jax.grad(effective_sample_size)(jnp.zeros(5))).all()
-
-
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: Softmax(0.0), r"temperature is 0.0; accepted: a finite number > 0.0"),
-        (lambda: Softmax(-1.0), r"temperature is -1.0; accepted"),
-        (lambda: Softmax(math.inf), r"temperature is inf; accepted"),
-        (lambda: Softmax(1.0, 1.5), r"importance is 1.5; accepted: .* >= 0.0 and <= 1.0"),
-        (lambda: Softmax(1.0, -0.1), r"importance is -0.1; accepted: .* >= 0.0 and <= 1.0"),
-        (lambda: AdaptiveSoftmax(0.5), r"effective_sample_size is 0.5; accepted: .* >= 1.0"),
-        (lambda: AdaptiveSoftmax(math.nan), r"effective_sample_size is nan; accepted"),
-        (lambda: AdaptiveSoftmax(5.0, 2.0), r"importance is 2.0; accepted: .* <= 1.0"),
-        (lambda: AdaptiveSoftmax(5.0, 0.0, -1.0), r"temperature is -1.0; accepted: .* >= 0.0"),
-        (lambda: Elite(0.0), r"fraction is 0.0; accepted: .* > 0.0 and <= 1.0"),
-        (lambda: Elite(1.1), r"fraction is 1.1; accepted: .* > 0.0 and <= 1.0"),
-    ],
-)
-def test_bad_input_is_named(build, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        build()

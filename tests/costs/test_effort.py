@@ -191,13 +191,8 @@ def test_another_scale_does_not_recompile(kind, drone) -> None:
             r"weights is .*eigenvalue -1\); accepted: no eigenvalue below 0",
         ),
         (lambda: QuadraticControlCost(np.ones((2, 3))), r"weights has shape \(2, 3\); accepted"),
-        (lambda: QuadraticControlCost(1.0), r"weights has shape \(\); accepted: \(nu,\) or \(nu, "),
-        (lambda: QuadraticControlCost([1.0, np.nan]), r"weights has a value nan; accepted"),
         (lambda: QuadraticControlCost([1.0], [1.0, 2.0]), r"target has shape \(2,\); accepted"),
-        (lambda: ControlRateCost(0.0), r"scale has a value 0.0; accepted: finite numbers > 0.0"),
-        (lambda: ControlRateCost([1.0, -2.0]), r"scale has a value -2.0; accepted"),
         (lambda: ControlJerkCost(np.ones((2, 2))), r"scale has shape \(2, 2\); accepted: one numb"),
-        (lambda: ControlJerkCost(np.inf), r"scale has a value inf; accepted"),
     ],
 )
 def test_bad_input_is_named(make, culprit: str) -> None:

@@ -58,13 +58,6 @@ def test_the_same_cost_serves_another_model(cost: Cost, stage, at, sled, belief)
     assert float(found) == pytest.approx(expected)
 
 
-def test_bad_input_is_named() -> None:
-    with pytest.raises(ValueError, match=r"turning is -0.1; accepted"):
-        GuidanceCost(turning=-0.1)
-    with pytest.raises(ValueError, match=r"reach is 0; accepted"):
-        GuidanceCost(reach=0)
-
-
 REFERENCE = [[1.0, 0.0, -9.0], [2.0, 1.0, -9.0], [4.0, 1.0, -7.0]]
 
 
@@ -192,8 +185,6 @@ def test_the_way_home_has_a_slope_at_the_goal_too(strategic, drone) -> None:
         ((1.0,), r"goal has shape \(1,\); accepted: \(2,\) or \(3,\)"),
         ((1.0, 2.0, 3.0, 4.0), r"goal has shape \(4,\); accepted"),
         (np.ones((1, 2)), r"goal has shape \(1, 2\); accepted"),
-        ((1.0, math.nan), "goal has a value nan; accepted: finite numbers"),
-        ((math.inf, 0.0), "goal has a value inf; accepted: finite numbers"),
     ],
 )
 def test_a_bad_goal_is_named(goal, message: str) -> None:

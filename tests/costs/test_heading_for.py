@@ -130,10 +130,6 @@ def test_without_the_field_it_says_what_is_missing_when_traced(belief, at) -> No
 @pytest.mark.parametrize(
     ("make", "name", "value"),
     [
-        (ToGoalCost, "turning", -0.1),
-        (ToGoalCost, "turning", math.nan),
-        (RegionCost, "direction", math.inf),
-        (RegionCost, "direction", math.nan),
         (RegionCost, "direction", np.zeros(2)),
     ],
 )

@@ -241,8 +241,6 @@ MOVING = {"positions": np.zeros((2, 2)), "velocities": np.zeros((2, 2))}
         ({"positions": np.zeros((2, 3))}, r"centres has shape \(2, 3\); acc"),
         ({"velocities": np.zeros((3, 2))}, r"velocities has shape \(3, 2\)"),
         ({"radii": -1.0}, "radii has a value -1.0; accepted"),
-        ({"std": -0.5}, "std has a value -0.5; accepted: finite numbers >= 0.0"),
-        ({"growth": -1.0}, "growth has a value -1.0; accepted"),
         ({"covariance": np.eye(3)}, r"covariance has shape \(3, 3\); accepted"),
         ({"covariance": -np.eye(2)}, "covariance is .*; accepted: symmetric"),
         ({"covariance": [[1.0, 0.5], [0.0, 1.0]]}, "accepted: symmetric and"),

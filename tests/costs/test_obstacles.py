@@ -293,23 +293,13 @@ DISCS = {"centres": np.zeros((2, 2)), "radii": 1.0}
 @pytest.mark.parametrize(
     ("cost", "changes", "culprit"),
     [
-        (ObstacleCost, {"clearance": 0.0}, "clearance is 0.0; accepted"),
-        (ObstacleCost, {"collision": -1.0}, "collision is -1.0; accepted"),
-        (ObstacleCost, {"margin": -0.1}, "margin is -0.1; accepted"),
-        (ObstacleCost, {"reaction_time": math.nan}, "reaction_time is nan; accepted"),
         (DiscObstacleCost, {"centres": np.zeros(2)}, r"centres has shape \(2,\); accepted: \(N, 2"),
         (DiscObstacleCost, {"centres": np.zeros((1, 4))}, r"centres has shape \(1, 4\); accepted"),
-        (DiscObstacleCost, {"centres": np.full((2, 2), np.nan)}, "centres has a value nan; acc"),
-        (DiscObstacleCost, {"radii": -1.0}, "radii has a value -1.0; accepted: .* >= 0.0"),
         (
             DiscObstacleCost,
             {"radii": np.ones(3)},
             r"radii has shape \(3,\); .*: one number or \(2,",
         ),
-        (DiscObstacleCost, {"clearance": 0.0}, "clearance is 0.0; accepted"),
-        (DiscObstacleCost, {"collision": -1.0}, "collision is -1.0; accepted"),
-        (DiscObstacleCost, {"margin": -0.1}, "margin is -0.1; accepted"),
-        (DiscObstacleCost, {"reaction_time": -0.1}, "reaction_time is -0.1; accepted"),
     ],
 )
 def test_bad_input_is_named(cost: type, changes, culprit: str) -> None:

@@ -215,10 +215,6 @@ def test_another_path_of_as_many_nodes_does_not_recompile() -> None:
         (lambda: CorridorCost(PATH), "path has no half_widths; accepted"),
         (lambda: CorridorCost(PATH, margin=-1.0), "path has no half_widths"),
         (
-            lambda: CorridorCost(line_path([0, 0], [1, 0], half_widths=[1, 1]), margin=-1.0),
-            "margin is -1.0; accepted",
-        ),
-        (
             lambda: CorridorCost(line_path([0, 0], [1, 0], half_widths=[0.2, 0.3])).check(
                 KinematicBicycle(radius=0.3)
             ),

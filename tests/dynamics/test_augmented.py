@@ -80,8 +80,6 @@ def test_a_pose_begins_at_the_start_and_a_wall_stops_the_robot_only() -> None:
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: PathParameter(0.0), "max_rate is 0.0; accepted"),
-        (lambda: PathParameter(1.0, end=-1.0), "end is -1.0; accepted"),
         (lambda: PathParameter(1.0, min_rate=2.0), "min_rate is 2.0; accepted: at most max_rate"),
         (
             lambda: Augmented(

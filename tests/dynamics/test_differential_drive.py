@@ -94,20 +94,3 @@ def test_pose_and_contact() -> None:
     np.testing.assert_array_equal(at_rest, [1.0, 2.0, 0.5, 0.0, 0.0])
     blocked = ROBOT.blocked(at_rest, jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2]))
     np.testing.assert_allclose(blocked, [1.0, 2.0, 0.6, 0.0, 0.2])
-
-
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [
-        ("max_speed", 0.0),
-        ("max_speed", math.nan),
-        ("max_turn_rate", -1.0),
-        ("max_acceleration", math.inf),
-        ("max_angular_acceleration", 0.0),
-        ("drag", -0.1),
-        ("radius", 0.0),
-    ],
-)
-def test_bad_input_is_named(argument: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
-        DifferentialDrive(**{argument: value})

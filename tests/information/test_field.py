@@ -503,11 +503,6 @@ def test_other_maps_and_odds_do_not_retrace() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"num_directions": 0}, "num_directions is 0; accepted: a whole number >= 1"),
-        ({"stride": 0}, "stride is 0; accepted: a whole number >= 1"),
-        ({"resolution": 0.0}, "resolution is 0.0; accepted: a finite number > 0.0"),
-        ({"resolution": math.nan}, "resolution is nan; accepted: a finite number > 0.0"),
-        ({"method": "sweep"}, "method is 'sweep'; accepted: 'scan', 'doubling' or None"),
         ({"method": "doubling", "noise": UniformNoise(1)}, "method is 'doubling'; accepted with"),
         ({"method": "doubling", "no_return": False}, "method is 'doubling'; accepted with"),
     ],
@@ -526,21 +521,6 @@ def test_bad_windows() -> None:
     doubling = FieldSensor(Lidar(8, 1.0), 0.1, 8, method="doubling")
     with pytest.raises(ValueError, match="method is 'doubling'; accepted for a window: 'scan'"):
         doubling.window(grid, MODEL, here, (5, 5))
-
-
-@pytest.mark.parametrize("view", [0.0, -1.0, 6.4, math.nan, math.inf])
-def test_bad_fields_of_view(view: float) -> None:
-    _, found = random_field("one tile")
-    with pytest.raises(ValueError, match=f"field_of_view is {view}; accepted: a finite number > 0"):
-        found(jnp.zeros(2), jnp.float32(0.0), view)
-    with pytest.raises(ValueError, match=f"field_of_view is {view}; accepted: a finite number > 0"):
-        found.at_headings(8, view)
-
-
-def test_bad_number_of_headings() -> None:
-    _, found = random_field("one tile")
-    with pytest.raises(ValueError, match="num_headings is 0; accepted: a whole number >= 1"):
-        found.at_headings(0)
 
 
 def test_nothing_is_learned_from_nowhere_and_a_window_is_not_updated() -> None:

@@ -62,8 +62,6 @@ def test_with_a_time_of_doubling_the_interest_grows_up_to_32_times() -> None:
     expected = np.asarray(interest(plain, idleness)) * factor
     np.testing.assert_allclose(interest(growing, idleness), expected, rtol=1e-5)
     np.testing.assert_array_equal(growing.init((2, 3)), 60.0)
-    with pytest.raises(ValueError, match="memory is None; accepted: a time"):
-        IdlenessMap(doubling=20.0)
 
 
 def test_with_an_infinite_memory_one_look_is_enough() -> None:
@@ -101,22 +99,6 @@ def test_numbers_do_not_recompile() -> None:
               for memory, weight in ((1.0, 1.0), (2.0, 1.0), (2.0, 3.0))]  # fmt: skip
     assert len(traces) == 1
     assert values[0] > values[1] == pytest.approx(values[2] / 3.0)
-
-
-@pytest.mark.parametrize(
-    ("given", "name"),
-    [
-        ({"memory": 0.0}, "memory"),
-        ({"memory": -1.0}, "memory"),
-        ({"memory": math.nan}, "memory"),
-        ({"memory": math.inf}, "memory"),
-        ({"weight": -0.1}, "weight"),
-        ({"weight": math.nan}, "weight"),
-    ],
-)
-def test_bad_numbers_are_named(given, name: str) -> None:
-    with pytest.raises(ValueError, match=f"^{name} is .*; accepted: "):
-        IdlenessMap(**given)
 
 
 # In the information field

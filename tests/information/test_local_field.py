@@ -179,19 +179,3 @@ def test_the_spacing_is_whole_cells() -> None:
         sensor = LocalFieldSensor(CASES["uniform"].scan, RESOLUTION, extent=1.0, spacing=spacing)
         assert sensor.table.stride == cells
         assert sensor.num_nodes == round(2.0 / spacing)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"resolution": 0.0}, "resolution is 0.0; accepted: a finite number > 0.0"),
-        ({"spacing": 0.0}, "spacing is 0.0; accepted: a finite number > 0.0"),
-        ({"spacing": math.nan}, "spacing is nan; accepted: a finite number > 0.0"),
-        ({"extent": 0.4}, "extent is 0.4; accepted: a finite number >= 0.5"),
-        ({"extent": math.inf}, "extent is inf; accepted: a finite number >= 0.5"),
-        ({"num_headings": 0}, "num_headings is 0; accepted: a whole number >= 1"),
-    ],
-)
-def test_bad_fields(change: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        LocalFieldSensor(SEEDS, **{"resolution": RESOLUTION, **change})

@@ -275,26 +275,13 @@ def package_checks_only(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: GaussianNoise(0.0), "std is 0.0; accepted: a finite number > 0"),
-        (lambda: GaussianNoise(-0.5), "std is -0.5; accepted: a finite number > 0"),
-        (lambda: GaussianNoise(math.nan), "std is nan; accepted: a finite number > 0"),
-        (lambda: GaussianNoise(1.0, 0.0), "truncation is 0.0; accepted: a finite number > 0"),
-        (lambda: GaussianNoise(1.0, -4.0), "truncation is -4.0; accepted: a finite number > 0"),
         (lambda: ToeplitzNoise([]), r"weights has shape \(0,\); accepted: an odd number"),
         (lambda: ToeplitzNoise([0.5, 0.5]), r"weights has shape \(2,\); accepted: an odd number"),
         (lambda: ToeplitzNoise([[1.0]]), r"weights has shape \(1, 1\); accepted: an odd number"),
-        (
-            lambda: ToeplitzNoise([0.5, 0.6, -0.1]),
-            r"weights is \[0.5, 0.6, -0.1\]; accepted: .*>= 0",
-        ),
         (lambda: ToeplitzNoise([0.5, 0.6, 0.1]), r"weights is \[0.5, 0.6, 0.1\]; .* sum <= 1"),
-        (lambda: ToeplitzNoise([math.nan]), r"weights is \[nan\]; accepted"),
         (lambda: ToeplitzNoise.gaussian(0.0), "std is 0.0; accepted"),
         (lambda: ToeplitzNoise.gaussian(1.0, cell_size=-1.0), "cell_size is -1.0; accepted"),
         (lambda: ToeplitzNoise.gaussian(1.0, truncation=0.0), "truncation is 0.0; accepted"),
-        (lambda: UniformNoise(-1), "half_width .*; accepted: a whole number"),
-        (lambda: UniformNoise(0.5), "half_width .*; accepted: a whole number"),
-        (lambda: UniformNoise(math.nan), "half_width .*; accepted: a whole number"),
     ],
 )
 def test_bad_noise(build: Callable[[], RangeNoise], message: str) -> None:
@@ -305,8 +292,3 @@ def test_bad_noise(build: Callable[[], RangeNoise], message: str) -> None:
 def test_a_traced_deviation_has_no_band() -> None:
     with pytest.raises(ValueError, match="std is traced; accepted with a truncation: a number"):
         jax.jit(lambda std: GaussianNoise(std, 4.0).std)(0.5)
-
-
-def test_bad_half_width_is_named_with_its_own_value() -> None:
-    with pytest.raises(ValueError, match="half_width is -1; accepted: a whole number >= 0"):
-        UniformNoise(-1)

@@ -433,22 +433,6 @@ def test_rates_are_data() -> None:
     assert traces == ["discount", "temporal"]
 
 
-@pytest.mark.parametrize(
-    ("wrong", "named"),
-    [
-        ({"method": "best"}, "method is 'best'.*direct, discount, filtered, temporal, occlusion"),
-        ({"every": 0}, "every is 0"),
-        ({"decay": -0.1}, "decay is -0.1"),
-        ({"decay": NAN}, "decay is nan"),
-        ({"discount": 0.0}, "discount is 0.0"),
-        ({"discount": 1.5}, "discount is 1.5"),
-    ],
-)
-def test_wrong_arguments_are_named(wrong, named: str) -> None:
-    with pytest.raises(ValueError, match=named):
-        TrajectoryInformation(NARROW, **wrong)
-
-
 def path_of(steps: list[tuple[float, float]]) -> np.ndarray:
     return (np.asarray([0.3, -0.2]) + np.cumsum([(0.0, 0.0), *steps], axis=0)).astype(np.float32)
 

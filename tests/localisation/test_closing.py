@@ -284,12 +284,6 @@ def test_numbers_that_are_not_positive_are_refused(name: str, value: float) -> N
             LoopCloser(least_share=1.1)
 
 
-@pytest.mark.parametrize("name", ["spacing", "turn", "memory"])
-def test_lengths_of_a_localiser_are_positive(name: str) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} is .*; accepted: "):
-        Localiser(**{name: 0.0})
-
-
 def test_other_numbers_do_not_recompile(around: Any, traced: Callable[..., int]) -> None:
     state, *_ = around
     scan = Scan(jnp.full(120, 2.0), jnp.ones(120, bool))

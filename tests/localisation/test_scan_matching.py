@@ -266,19 +266,6 @@ def test_numbers_that_are_not_finite_are_contained(
         np.testing.assert_allclose(found.pose, guess, atol=0.02)
 
 
-@pytest.mark.parametrize("name", ["sigma", "spacing", "turn_spacing"])
-@pytest.mark.parametrize("value", [0.0, -0.1, math.nan])
-def test_lengths_that_are_not_positive_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} is .*; accepted: "):
-        ScanMatcher(**{name: value})
-
-
-@pytest.mark.parametrize("name", ["steps", "search_points", "iterations"])
-def test_numbers_of_steps_below_one_are_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} is 0; accepted: "):
-        ScanMatcher(**{name: 0})
-
-
 def test_other_numbers_do_not_recompile(
     scan_of: ScanOf, room: np.ndarray, noisy_map: SurfaceMap, traced: Callable[..., int]
 ) -> None:

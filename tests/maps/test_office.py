@@ -103,17 +103,8 @@ def test_no_start_without_room():
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ({"width": 7.9}, "width is 7.9"),
-        ({"height": 6.9}, "height is 6.9"),
-        ({"width": math.nan}, "width is nan"),
-        ({"height": math.inf}, "height is inf"),
-        ({"resolution": 0.0}, "resolution is 0.0"),
-        ({"resolution": -0.1}, "resolution is -0.1"),
-        ({"resolution": 0.21}, "resolution is 0.21"),
         ({"resolution": 1e-4}, "resolution is 0.0001"),
         ({"resolution": 1e-320}, "resolution is"),
-        ({"seed": -1}, "seed is -1"),
-        ({"seed": True}, "seed is True"),
     ],
 )
 def test_refusals(arguments, named):

@@ -75,7 +75,6 @@ def test_a_ros_path(tmp_path: Path) -> None:
         ("a.csv", "0,0\n1,2,3\n", "line 2 has 3 columns; accepted: 2"),
         ("a.csv", "1\n2\n", "line 1 has 1 columns"),
         ("a.csv", "0,0,1,1\n1,0,0,1\n2,1,1,1\n", "half_widths has a value 0.0"),
-        ("a.json", "[]", r"accepted: a .csv, .txt, .yaml or .yml file"),
         ("a.yaml", "poses: []", r"has poses \[\]; accepted: a list"),
         ("a.yaml", "poses: [{pose: {position: {x: 0}}}]", r"poses\[0\] is"),
         ("a.yaml", "poses: [{position: {x: 0, y: .nan}}, {position: {x: 1, y: 1}}]", "waypoint 1"),

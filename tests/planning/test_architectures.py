@@ -336,13 +336,6 @@ def test_parallel_refuses_a_reference_that_it_would_not_follow() -> None:
         controller_of("parallel", reference=reference)
 
 
-def test_an_unknown_architecture_is_named() -> None:
-    with pytest.raises(
-        ValueError, match=r"architecture is 'three-layer'; accepted: two-layer, parallel"
-    ):
-        controller_of("three-layer")
-
-
 def test_what_the_architectures_differ_in(controllers) -> None:
     two_layer, parallel = (controllers[name] for name in ARCHITECTURES)
     assert isinstance(two_layer.mppi.proposal, BiasedProposal)

@@ -392,9 +392,6 @@ def test_every_name_makes_its_fusion() -> None:
         fusion = fusion_by_name(name)
         assert isinstance(fusion, kind)
         fusion.check(ROLES)
-    listed = ", ".join(FUSIONS)
-    with pytest.raises(ValueError, match=f"fusion is 'mean'; accepted: {listed}"):
-        fusion_by_name("mean")
 
 
 def test_a_contextual_fusion_needs_its_roles() -> None:
@@ -412,15 +409,7 @@ def test_a_contextual_fusion_needs_its_roles() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: WeightedVote(0.0), "temperature is"),
-        (lambda: TrustWeighted(-1.0), "least is"),
-        (lambda: Contextual(near_goal=0.0), "near_goal is"),
-        (lambda: Contextual(near_obstacle=-1.0), "near_obstacle is"),
-        (lambda: Contextual(rich_information=np.nan), "rich_information is"),
-        (lambda: Contextual(hysteresis=-0.1), "hysteresis is"),
         (lambda: Contextual(goal=[1.0]), "goal"),
-        (lambda: SafeFusion(regret=-0.1), "regret is"),
-        (lambda: SafeFusion(tolerated=-0.1), "tolerated is"),
     ],
 )
 def test_numbers_that_make_no_sense(make, message: str) -> None:
@@ -476,8 +465,6 @@ def test_rules_of_one_s_own_come_first_and_remember() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "without 'explorer'.*or roles"),
-        ({"roles": {"explorer": "search"}}, "accepted: members by role, with 'balanced'"),
         ({"roles": {"balanced": "nobody"}}, r"roles\['balanced'\] is 'nobody'; accepted: search"),
         ({"roles": {"balanced": "search", "boss": "search"}}, "roles has 'boss'; accepted: expl"),
         (
@@ -527,7 +514,6 @@ def test_a_temperature_and_a_situation_of_plain_actions() -> None:
     [
         ({"costs": PRICES[:2]}, r"costs is an array of shape \(2,\); accepted: \(3,\)"),
         ({"actions": ACTIONS[0]}, "actions has shape"),
-        ({"fusion": "vote"}, "'vote'; accepted: weighted-vote"),
         ({"fusion": "average", "temperature": 1.0}, "temperature is 1.0 beside the fusion Average"),
         ({"fusion": "trust-weighted"}, "uncertainties is None; accepted: 3 numbers"),
         ({"fusion": "safe"}, "situation is None; accepted: a Situation, for SafeFusion"),

@@ -365,23 +365,6 @@ def test_speed_and_time_step_are_data() -> None:
     assert traces == [1]
 
 
-@pytest.mark.parametrize(
-    ("wrong", "named"),
-    [
-        ({"speed": 0.0}, "speed is 0.0"),
-        ({"speed": -1.0}, "speed is -1.0"),
-        ({"speed": NAN}, "speed is nan"),
-        ({"dt": 0.0}, "dt is 0.0"),
-        ({"dt": math.inf}, "dt is inf"),
-        ({"num_steps": 0}, "num_steps is 0"),
-        ({"num_steps": -3}, "num_steps is -3"),
-    ],
-)
-def test_wrong_arguments_are_named(wrong, named: str) -> None:
-    with pytest.raises(ValueError, match=named):
-        GradientReference(**wrong)
-
-
 def test_leads_to_the_unknown_part_of_a_map() -> None:
     pose = PoseInformation(Lidar(num_beams=16, max_range=0.8))
     sensor = LocalFieldSensor(pose, RESOLUTION, extent=0.8, spacing=0.2, num_headings=4)

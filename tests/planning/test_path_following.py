@@ -94,13 +94,7 @@ def test_costs_of_one_s_own_are_added() -> None:
     [
         (S_CURVE, {"corridor": True}, "path has no half_widths; accepted"),
         (line_path([0, 0], [9, 0], half_widths=[0.1, 0.3]), {}, "path is 0.4 m wide where"),
-        (S_CURVE, {"lag_weight": -1.0}, "lag_weight is -1.0; accepted"),
-        (S_CURVE, {"progress_noise": 0.0}, "progress_noise is 0.0; accepted"),
         (S_CURVE, {"noise_std": [0.5]}, r"physical proposal: noise_std has shape \(1,\)"),
-        (S_CURVE, {"horizon": 0}, "horizon is 0; accepted"),
-        (S_CURVE, {"noise_std": None, "noise_share": 0.0}, "noise_share is 0.0; accepted"),
-        (S_CURVE, {"comfort_weight": -1.0}, "comfort_weight is -1.0; accepted"),
-        (S_CURVE, {"max_lateral": -1.0, "comfort_weight": 1.0}, "max_lateral is -1.0; accepted"),
     ],
 )
 def test_bad_input(path, changes, message: str) -> None:

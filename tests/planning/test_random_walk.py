@@ -403,12 +403,6 @@ def test_bad_input_is_named(name: str, value: Any, said: str) -> None:
         walk_with(**{name: value})
 
 
-@pytest.mark.parametrize("period", [0.0, -0.1, math.nan])
-def test_a_bad_control_period_is_named(period: float, walk) -> None:
-    with pytest.raises(ValueError, match=rf"^control_period is {period}; accepted: a finite"):
-        walk.at_period(period)
-
-
 # The noise of a flight
 
 PARAMETERISATIONS = ["direct", Direct(), Smooth(), Knots(8), Knots(40), Knots(5)]

@@ -168,9 +168,3 @@ def test_defaults_are_the_notes_numbers() -> None:
     walk = ClimbingReference().gradient_reference
     assert walk.num_steps == 40
     np.testing.assert_allclose([walk.speed, walk.dt], [2.0, 0.05])
-
-
-@pytest.mark.parametrize("wrong", [-0.1, NAN, math.inf])
-def test_a_wrong_gain_is_named(wrong: float) -> None:
-    with pytest.raises(ValueError, match=f"min_gain is {wrong}; accepted: a finite number >= 0.0"):
-        ClimbingReference(min_gain=wrong)

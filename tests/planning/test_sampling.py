@@ -163,11 +163,6 @@ def test_bad_names_and_numbers_are_refused(
         make(ROBOT, **SMALL, **given)
 
 
-def test_contouring_refuses_noise_that_its_parts_would_share() -> None:
-    with pytest.raises(ValueError, match=r"noise is 'sobol'; accepted: gaussian, coloured$"):
-        jx.mpcc(ROBOT, TRACK, comfort_weight=0.0, noise="sobol", **SMALL)
-
-
 @pytest.mark.parametrize(
     ("entries", "message"),
     [

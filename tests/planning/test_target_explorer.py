@@ -359,21 +359,3 @@ def test_a_look_shows_the_target(half_known) -> None:
     row, column = chosen(NearestFrontier(), found)
     expected = found.roads.frame.cell_centre(jnp.asarray([row, column]))
     np.testing.assert_allclose(plan.reference[0], expected, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("make_bad", "named"),
-    [
-        (lambda: make(NearestFrontier(), required_clearance=0.0), "required_clearance"),
-        (lambda: make(NearestFrontier(), min_information=-1.0), "min_information"),
-        (lambda: make(NearestFrontier(), leftover_share=2.0), "leftover_share"),
-        (lambda: make(NearestFrontier(), every=0), "every"),
-        (lambda: Wander(0.0), "reach"),
-        (lambda: NearestCluster(-0.1), "lead"),
-        (lambda: DiscountedInformation(-1.0), "rate"),
-        (lambda: DistanceAdvantage(0), "num_others"),
-    ],
-)
-def test_bad_numbers(make_bad, named: str) -> None:
-    with pytest.raises(ValueError, match=named):
-        make_bad()

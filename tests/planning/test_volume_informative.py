@@ -275,14 +275,7 @@ def test_it_explores_the_hall_without_a_contact(architecture: str, controllers) 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"architecture": "three-layer"}, "architecture is 'three-layer'; accepted: two-layer, pa"),
         ({"strategy_period": 0.07}, "strategy_period is 0.07 s; accepted: a whole number of contr"),
-        ({"strategy_period": 0.0}, "strategy_period is 0"),
-        ({"bias_fraction": 1.5}, "bias_fraction is 1.5; accepted"),
-        ({"reference_speed": 0.0}, "reference_speed is 0"),
-        ({"reference_steps": 0}, "reference_steps is 0; accepted"),
-        ({"reference_weight": math.nan}, "reference_weight is nan"),
-        ({"field_weight": math.inf}, "field_weight is inf"),
         ({"max_speed": -1.0}, "max_speed is -1"),
     ],
 )

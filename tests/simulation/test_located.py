@@ -239,20 +239,3 @@ def test_other_numbers_compile_nothing_again(run) -> None:
         )
         step(other, state.task, moment)
     assert len(traced) == 1
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"distance_noise": float("nan")}, r"distance_noise is nan; accepted"),
-        ({"gyro": -0.1}, r"gyro is -0.1; accepted"),
-    ],
-)
-def test_an_impossible_odometry_is_refused(wrong: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Odometry(**wrong)
-
-
-def test_a_rate_of_zero_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"closing_rate is 0.0; accepted"):
-        Localisation(closing_rate=0.0)

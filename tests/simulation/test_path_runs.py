@@ -151,8 +151,6 @@ def test_a_path_far_away_is_followed_by_the_same_steps_and_recorded_where_it_is(
         (here.frames[0].corners, there.frames[0].corners),
     ):
         np.testing.assert_allclose(theirs, mine + datum.offset, rtol=0.0, atol=1e-8)
-    with pytest.raises(ValueError, match=r"start has a coordinate of 500000 m, .*maps.Datum"):
-        jx.PathScenario(PASSING.model, RING, start=[5e5, 0.0, 0.0])
 
 
 def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
@@ -244,14 +242,8 @@ def test_a_controller_that_diverges_stands_and_says_so() -> None:
 @pytest.mark.parametrize(
     ("given", "named"),
     [
-        ({"laps": 0}, "laps"),
-        ({"path": jx.geometry.line_path([0, 0], [5, 0]), "laps": 2}, "laps is 2 of an open path"),
         ({"robot": jx.Augmented(CAR, jx.Pendulum())}, "robot has the states x, y"),
         ({"start": [0.0, 1.0]}, "start"),
-        ({"control_rate": 0.0}, "control_rate"),
-        ({"tracking_noise": (-1.0, 0.0)}, "tracking_noise"),
-        ({"prediction": "psychic"}, "prediction is 'psychic'; accepted: constant-turn"),
-        ({"growth": -1.0}, "growth"),
     ],
 )
 def test_what_is_no_scenario_is_refused(given, named) -> None:
@@ -265,8 +257,6 @@ def test_what_is_no_scenario_is_refused(given, named) -> None:
         (lambda: jx.Traffic(RING, [1.0, 2.0], [0.0, 0.0, 0.0], 1.0, radii=0.1), "offsets"),
         (lambda: jx.Traffic(RING, [1.0], 0.9, 1.0, radii=0.1), r"offsets\[0\] is 0.9; accepted"),
         (lambda: jx.Traffic(RING, [1.0], 0.0, 1.0), "outlines is None, radii is None"),
-        (lambda: jx.Traffic(RING, [1.0], 0.0, 1.0, radii=-0.1), "radii"),
-        (lambda: jx.Traffic(RING, [np.nan], 0.0, 1.0, radii=0.1), "phi"),
         (
             lambda: jx.Traffic.random(jx.geometry.line_path([0, 0], [9, 0]), 2, seed=0),
             "path has inf m on either side",

@@ -142,7 +142,6 @@ WORLD[20, :] = 0.5
         ((1.5, 2.05, 0.0), "in unknown space"),
         ((1.5, 0.85, 0.0), "where a robot of radius 0.2 m touches something"),
         ((0.05, 0.5, 0.0), "touches something"),
-        ((math.nan, 0.5, 0.0), "start is .*accepted: 3 finite numbers"),
         ((0.5, 0.5), "start is .*accepted: 3 finite numbers"),
     ],
 )
@@ -150,23 +149,6 @@ def test_bad_starts_are_named(start, reason: str) -> None:
     with pytest.raises(ValueError, match=reason) as error:
         ExplorationScenario(OccupancyGrid(WORLD, 0.1), ROBOT, LIDAR, start)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [
-        ("control_rate", 0.0),
-        ("sensing_rate", 60.0),
-        ("field_rate", -1.0),
-        ("target_coverage", 0.0),
-        ("target_coverage", 1.1),
-    ],
-)
-def test_bad_settings_are_named(argument: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
-        ExplorationScenario(
-            OccupancyGrid(WORLD, 0.1), ROBOT, LIDAR, (1.5, 0.5, 0.0), **{argument: value}
-        )
 
 
 def test_off_the_map_hint_follows_a_turned_map() -> None:
@@ -199,13 +181,6 @@ def scenario(**arguments) -> ExplorationScenario:
         ({"goal": (1.5, 3.01)}, "goal is .*; accepted: a place in free space"),
         ({"goal": (1.5,)}, "goal is .*; accepted: 2 finite numbers"),
         ({"goal": (1.5, 0.5, 0.0)}, "goal is .*; accepted: 2 finite numbers"),
-        ({"goal": (math.nan, 0.5)}, "goal is .*; accepted: 2 finite numbers"),
-        ({"goal_radius": 0.0}, "goal_radius is 0.0; accepted: a finite number > 0.0"),
-        ({"goal_radius": math.inf}, "goal_radius is inf; accepted"),
-        ({"max_unknown": -0.1}, "max_unknown is -0.1; accepted"),
-        ({"max_unknown": 1.1}, "max_unknown is 1.1; accepted"),
-        ({"hover_time": -1.0}, "hover_time is -1.0; accepted"),
-        ({"hover_time": math.nan}, "hover_time is nan; accepted"),
         (
             {"prior": OccupancyGrid(np.zeros((30, 31)), 0.1)},
             r"prior has shape \(30, 31\); accepted: the world's, \(30, 30\)",
@@ -289,8 +264,6 @@ def test_altitude_is_the_start_of_robots_that_fly() -> None:
     made = ExplorationScenario(GRID, robot, LIDAR, START, altitude=-1.25)
     np.testing.assert_array_equal(made.start, expected)
     np.testing.assert_array_equal(scenario(altitude=-1.25).start, [1.5, 0.5, 0.0, 0.0, 0.0])
-    with pytest.raises(ValueError, match="altitude is nan; accepted"):
-        ExplorationScenario(GRID, robot, LIDAR, START, altitude=math.nan)
 
 
 # Sensors, ground, targets and what moves
@@ -311,8 +284,6 @@ TERRAIN = TerrainMap(GRID, Ground(np.zeros((30, 30)), 0.1, traversability=CLIFF)
         ({"targets": np.zeros((0, 2))}, r"targets has shape \(0, 2\); accepted: .* M >= 1"),
         ({"targets": (0.5, 0.5)}, r"targets has shape \(2,\); accepted: \(M, 2\)"),
         ({"tracking_noise": (0.1,)}, "tracking_noise is .*; accepted: 2 finite numbers"),
-        ({"tracking_noise": (0.1, math.nan)}, "tracking_noise is .*; accepted: 2 finite numbers"),
-        ({"tracking_noise": (-0.1, 0.1)}, "tracking_noise .*; accepted"),
         # Free, but behind the wall.
         ({"goal": (1.5, 1.5)}, r"goal is \[1.5, 1.5\], which a robot of radius 0.2 m cannot reach"),
         (

@@ -155,7 +155,10 @@ class AnomalyTest(eqx.Module):
         rows = _checks.floats("forbidden", forbidden, accepted)
         if rows.size == 0:
             rows = np.zeros((0, 4), np.float32)
-        if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all():
+        is_bad = ~np.isfinite(rows)
+        if is_bad.any():
+            raise ValueError(f"forbidden has a value {rows[is_bad][0]}; accepted: {accepted}")
+        if rows.ndim != 2 or rows.shape[1] != 4:
             raise ValueError(f"forbidden has shape {rows.shape}; accepted: {accepted}")
         self.forbidden = on_device(rows.copy())
 

@@ -155,8 +155,7 @@ class Perception(BeliefFields):
         self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
         self.sensor_model = InverseSensorModel() if sensor_model is None else sensor_model
-        if _checks.positive_int("num_directions", num_directions, at_most=MOST_DIRECTIONS) < 4:
-            raise ValueError(f"num_directions is {num_directions}; accepted: a whole number >= 4")
+        _checks.whole_number("num_directions", num_directions, at_least=4, at_most=MOST_DIRECTIONS)
         spacing = _checks.number("node_spacing", node_spacing, above=0.0)
         margin = _checks.scalar("margin", margin, at_least=0.0)
         self.required_clearance = computed(lambda _, *each: each[0] + each[1], radius, margin)

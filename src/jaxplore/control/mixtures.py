@@ -231,7 +231,12 @@ def _control_sequences(name: str, value: Rows | Sequence[Rows], ndim: int) -> Ar
     if not isinstance(value, jax.core.Tracer):
         shape = "(T, nu)" if ndim == 2 else "(N, T, nu)"
         array = _checks.floats(name, value, f"finite controls of shape {shape}")
-        if array.ndim != ndim or array.size == 0 or not np.isfinite(array).all():
+        is_bad = ~np.isfinite(array)
+        if is_bad.any():
+            raise ValueError(
+                f"{name} has a value {array[is_bad][0]}; accepted: finite controls of shape {shape}"
+            )
+        if array.ndim != ndim or array.size == 0:
             raise ValueError(
                 f"{name} has shape {array.shape}; accepted: finite controls of shape {shape}"
             )

@@ -52,8 +52,13 @@ class VoxelGrid(eqx.Module):
         shape = np.shape(log_odds)
         if len(shape) != 3 or 0 in shape:
             raise ValueError(f"log_odds has shape {shape}; accepted: (D, H, W) with D, H, W >= 1")
-        if not _kinds.is_traced(log_odds) and not np.isfinite(np.asarray(log_odds)).all():
-            raise ValueError("log_odds has NaN or infinity; accepted: finite numbers")
+        if not _kinds.is_traced(log_odds):
+            values = np.asarray(log_odds)
+            is_bad = ~np.isfinite(values)
+            if is_bad.any():
+                raise ValueError(
+                    f"log_odds has a value {values[is_bad][0]}; accepted: finite numbers"
+                )
         self.log_odds = jnp.asarray(log_odds, jnp.float32)
 
     @classmethod

@@ -48,6 +48,9 @@ def whole_steps(name: str, rate: float, control_rate: float) -> Array:
     """
     checked = _checks.number(name, rate, above=0.0, at_most=control_rate)
     ratio = control_rate / checked
+    most = np.iinfo(np.int32).max
+    if ratio > most:
+        raise ValueError(f"{name} is {rate!r}; accepted: once in {most} control periods or oftener")
     # The tolerance accepts a rounded rate, such as 16.67 Hz of 50 Hz.
     if abs(ratio - round(ratio)) > 1e-3 * ratio:
         raise ValueError(
