@@ -1,5 +1,6 @@
 """What scans tell about the position, and rollouts that propagate its variance."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +19,18 @@ SIDE = 0.1
 LIDAR = jx.Lidar(num_beams=360, max_range=4.0)
 CERTAINTY = CertaintyField(LIDAR, SIDE, num_directions=64, extent=1.2)
 ROBOT = jx.DifferentialDrive()
+PERCEPTION = jx.Perception(LIDAR, SIDE, 0.2, num_directions=8)
+begin = eqx.filter_jit(PERCEPTION.init)
+
+
+@eqx.filter_jit
+def moved(robot, state, control, dt):
+    return robot.step(state, control, dt)
+
+
+@eqx.filter_jit
+def planned(controller, observed, belief, key):
+    return controller.step(controller.init(), observed, belief, key=key)[0]
 
 
 def hall(width: float, height: float, ends: bool = True) -> jx.OccupancyGrid:
@@ -107,7 +120,7 @@ def test_the_variance_is_that_of_a_kalman_filter(told: float) -> None:
     control, dt = jnp.array([0.5, 0.2]), jnp.asarray(0.05)
     variance, before = 0.01, np.asarray(state, float)
     for _ in range(40):
-        state = robot.step(state, control, dt)
+        state = moved(robot, state, control, dt)
         after = np.asarray(state, float)
         variance += 4e-4 * np.hypot(*(after - before)[:2])
         # A scan with the information told * rate * dt: the product of two Gaussians.
@@ -115,8 +128,8 @@ def test_the_variance_is_that_of_a_kalman_filter(told: float) -> None:
         before = after
     assert float(state[-1]) == pytest.approx(variance, rel=1e-4)
     assert robot.state_names[-1] == VARIANCE
-    inner = ROBOT.step(state[:-1], control, dt)
-    np.testing.assert_array_equal(robot.step(state, control, dt)[:-1], inner)
+    inner = moved(ROBOT, state[:-1], control, dt)
+    np.testing.assert_array_equal(moved(robot, state, control, dt)[:-1], inner)
 
 
 def test_costs_of_the_variance() -> None:
@@ -125,8 +138,7 @@ def test_costs_of_the_variance() -> None:
     zero = jnp.zeros(())
     paid = UncertaintyCost().stage(state, jnp.zeros(2), zero, jx.belief.Belief())
     assert float(paid) == pytest.approx(0.2)
-    perception = jx.Perception(LIDAR, SIDE, 0.2, num_directions=8)
-    belief = perception.init(hall(4.0, 3.0), jnp.array([3.0, 2.5, 0.0]))
+    belief = begin(hall(4.0, 3.0), np.array([3.0, 2.5, 0.0], np.float32))
     plain = jx.costs.InformationCost().stage(state, jnp.zeros(2), zero, belief)
     half = CertainInformationCost(0.2).stage(state, jnp.zeros(2), zero, belief)
     assert float(plain) < 0.0
@@ -135,10 +147,9 @@ def test_costs_of_the_variance() -> None:
 
 def test_a_robot_that_knows_its_place_plans_as_without_it() -> None:
     """With no variance and no weight, the controller is that without the variance."""
-    perception = jx.Perception(LIDAR, SIDE, 0.2, num_directions=8)
     here = jnp.array([2.0, 2.0, 0.4])
     grid = hall(4.0, 3.0)
-    belief = perception.init(grid, here)
+    belief = begin(grid, here)
     numbers = {"num_samples": 64, "horizon": 12}
     plain = jx.explorer(ROBOT, **numbers)
     uncertain = UncertainRobot(ROBOT, CERTAINTY.blank(), added=0.0)
@@ -147,15 +158,14 @@ def test_a_robot_that_knows_its_place_plans_as_without_it() -> None:
         **{
             **{name: getattr(belief, name) for name in ("grid", "clearance", "information")},
             **{name: getattr(belief, name) for name in ("guidance", "dwell", "pose")},
-            "certainty": CERTAINTY(grid, belief.clearance, here[:2]),
+            "certainty": information(grid, here[:2])[1],
             "position_variance": jnp.zeros(()),
         }
     )
     observed, key = ROBOT.at_pose(2.0, 2.0, 0.4), jax.random.key(0)
-    first = plain.step(plain.init(), observed, belief, key=key)[0]
-    second = aware.step(aware.init(), observed, known, key=key)[0]
+    first, second = planned(plain, observed, belief, key), planned(aware, observed, known, key)
     np.testing.assert_allclose(first, second, atol=1e-5)
-    plan = aware.inspect(aware.init(), observed, known, key=key, num_trajectories=2)
+    plan = eqx.filter_jit(aware.inspect)(aware.init(), observed, known, key=key, num_trajectories=2)
     assert plan.nominal.states.shape == (13, ROBOT.state_size + 1)
     assert aware.at_period(0.02).dynamics is not None
     with pytest.raises(ValueError, match=r"belief has no certainty; accepted: the belief of a sce"):

@@ -461,6 +461,17 @@ def test_narrow_passages_cost_more_and_no_path_ends_in_them(seed: int) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
+@jax.jit
+def descended(field, place):
+    """Return where 400 steps downhill end, and the costs on the way."""
+
+    def step(at, _):
+        return at + 0.05 * field.direction(at), field(at)
+
+    end, costs = jax.lax.scan(step, place, None, 401)
+    return end, costs
+
+
 @pytest.mark.parametrize("turn", range(4))
 @pytest.mark.parametrize("length", [2, 12])
 def test_a_field_falls_through_a_narrow_passage_and_is_else_as_without(turn, length) -> None:
@@ -476,10 +487,7 @@ def test_a_field_falls_through_a_narrow_passage_and_is_else_as_without(turn, len
     (node,) = np.argwhere(start)
     assert np.isfinite(lengths[tuple(node)])
     place = (node[::-1] + 0.5) * 0.2
-    costs = [float(field(jnp.asarray(place, jnp.float32)))]
-    for _ in range(400):
-        place = place + 0.05 * np.asarray(field.direction(jnp.asarray(place, jnp.float32)))
-        costs.append(float(field(jnp.asarray(place, jnp.float32))))
+    place, costs = descended(field, place.astype(np.float32))
     target = (np.argwhere(source == 0.0)[0][::-1] + 0.5) * 0.2
     assert np.hypot(*(place - target)) < 0.15
     assert np.diff(costs).max() < 0.3

@@ -212,6 +212,7 @@ def test_an_explorer_comes_back_for_what_left_its_window() -> None:
         scenario,
         1200,
         key=jax.random.key(1),
+        num_trajectories=0,
     )
     assert run.metrics.coverage >= 0.8
     assert run.metrics.collisions == 0

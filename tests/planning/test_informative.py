@@ -548,7 +548,7 @@ def three_plans(controller: InformativeMPPI) -> list:
 def test_eight_devices_do_what_one_does(smooth) -> None:
     environment = {
         **os.environ,
-        "XLA_FLAGS": "--xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0",
+        "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=8",
         "JAX_PLATFORMS": "cpu",
         "PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src"),
     }

@@ -324,15 +324,16 @@ def test_rules_explore_without_contact(name: str) -> None:
         target_coverage=0.95,
     )
     shape = scenario.map_arrays.world.shape
+    controller = make(RULES[name](), shape).at_period(0.05)
+    smaller = make(RULES[name]())
     with pytest.raises(ValueError, match=r"shape is \(50, 60\); accepted: .* of \(64, 64\) cells"):
         jax.eval_shape(
-            make(RULES[name]()).step,
-            make(RULES[name]()).init(),
+            smaller.step,
+            eqx.filter_eval_shape(smaller.init),
             scenario.start,
-            scenario.init(KEY)[1],
+            eqx.filter_eval_shape(scenario.init, KEY)[1],
             key=KEY,
         )
-    controller = make(RULES[name](), shape).at_period(0.05)
     state = initial_loop_state(controller, scenario, KEY)
     state, records, done = run_chunk(
         (controller, scenario, KEY, jnp.asarray(800, jnp.int32)), copied(state), 800

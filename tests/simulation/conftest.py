@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
+from jaxplore import DifferentialDrive, Faults, Lidar, OccupancyGrid, Perception, explorer
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 SIZE = (40, 60)
@@ -49,7 +49,8 @@ def make():
             start,
             perception=perception,
             target_coverage=target,
-            **({} if rates is None else rates),
+            # So that runs with a fault are the same program.
+            **{"faults": Faults()} | ({} if rates is None else rates),
         )
         return explorer(robot, horizon=30, num_samples=128, **costs), scenario
 

@@ -14,7 +14,7 @@ from jaxplore.localisation import Localiser, LoopCloser, ParticleFilter, Particl
 from jaxplore.simulation import Faults, Localisation
 from jaxplore.simulation.exploration.carrying import landing
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import closed_loop_step, initial_loop_state
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import simulate
 
 LIDAR = jx.Lidar(num_beams=90, max_range=4.0, range_noise=0.01)
@@ -110,27 +110,24 @@ def test_a_robot_that_was_carried_away_is_found_again(carried) -> None:
     assert dict(metrics.rows())["carried away"].startswith("after 2.0")
 
 
-@pytest.fixture(scope="module")
-def step():
-    """Return the compiled step of the loop, and a list with an entry for each compilation."""
-    traced = []
-
-    @eqx.filter_jit
-    def step(scenario, state, key):
-        traced.append(1)
-        return closed_loop_step(CONTROLLER, scenario, state, key)
-
-    return step, traced
+CHUNK = 25  # that of `simulate`, so that the loop is compiled once
+AT_RATE = CONTROLLER.at_period(CARRIED.control_period)
 
 
-def test_while_it_does_not_know_its_pose_it_brakes_and_maps_nothing(step) -> None:
-    state = initial_loop_state(CONTROLLER, CARRIED, jax.random.key(0))
+def one_step(scenario: ExplorationScenario, state):
+    given = AT_RATE, scenario, jax.random.key(0), np.array(1, np.int32)
+    after, records, _ = run_chunk(given, copied(state), CHUNK)
+    return after, jax.tree.map(lambda rows: np.asarray(rows)[0], records)
+
+
+def test_while_it_does_not_know_its_pose_it_brakes_and_maps_nothing() -> None:
+    state = initial_loop_state(AT_RATE, CARRIED, jax.random.key(0))
     task = state.task
     known = task.located.known
     unknown = known._replace(found=known.found._replace(is_converged=jnp.array(False)))
     driving = task.robot.at[3].set(0.5)
     task = task._replace(robot=driving, located=task.located._replace(known=unknown))
-    after, record = step[0](CARRIED, state._replace(task=task), jax.random.key(0))
+    after, record = one_step(CARRIED, state._replace(task=task))
     assert int(record.stop) == LOST
     assert float(after.task.robot[3]) < 0.5
     np.testing.assert_array_equal(
@@ -139,7 +136,7 @@ def test_while_it_does_not_know_its_pose_it_brakes_and_maps_nothing(step) -> Non
     # The scan reaches the filter nevertheless, which knows the pose by it.
     assert int(after.task.located.known.number) == 1
     assert bool(after.task.located.known.is_known)
-    after, record = step[0](CARRIED, after, jax.random.key(0))
+    after, record = one_step(CARRIED, after)
     assert int(record.stop) != LOST
 
 
@@ -181,30 +178,27 @@ def records_of(run):
     return jax.tree.map(np.asarray, run.recording.records)
 
 
-def test_other_numbers_compile_nothing_again(step) -> None:
-    state = initial_loop_state(CONTROLLER, CARRIED, jax.random.key(0))
-    for scenario in (
-        CARRIED,
-        scenario_with(
-            Faults(carried_at=9.0, carried_to=(2.0, 1.0, 0.0)), distance_std=0.1, temper=0.5
-        ),
-    ):
-        step[0](scenario, state, jax.random.key(0))
-    assert len(step[1]) == 1
+def test_other_numbers_compile_nothing_again() -> None:
+    state = initial_loop_state(AT_RATE, CARRIED, jax.random.key(0))
+    one_step(CARRIED, state)
+    before = run_chunk._cached._cache_size()
+    faults = Faults(carried_at=9.0, carried_to=(2.0, 1.0, 0.0))
+    one_step(scenario_with(faults, distance_std=0.1, temper=0.5), state)
+    assert run_chunk._cached._cache_size() == before
 
 
 def test_the_place_is_drawn_by_the_key_where_the_robot_can_drive() -> None:
     reachable, frame = CARRIED.map_arrays.reachable, CARRIED.map_arrays.world.frame
     faults = Faults(carried_at=1.0)
     keys = jax.random.split(jax.random.key(0), 400)
-    places = jax.vmap(lambda key: landing(faults, reachable, frame, key))(keys)
-    row, column = np.asarray(jax.vmap(frame.to_cell)(places[:, :2])).T
+    drawn = jax.jit(jax.vmap(lambda key: landing(faults, reachable, frame, key)))
+    places = drawn(keys)
+    row, column = np.asarray(jax.jit(jax.vmap(frame.to_cell))(places[:, :2])).T
     assert np.asarray(reachable)[row, column].all()
     # In both rooms, as often as their cells.
     left = np.asarray(reachable)[:, :42].sum() / np.asarray(reachable).sum()
     assert np.mean(column < 42) == pytest.approx(left, abs=4.0 * 0.5 / 20.0)
-    again = landing(faults, reachable, frame, keys[3])
-    np.testing.assert_allclose(again, places[3], atol=1e-6)
+    np.testing.assert_allclose(landing(faults, reachable, frame, keys[3]), places[3], atol=1e-6)
     assert landing(Faults(), reachable, frame, keys[0]) is None
 
 
@@ -219,7 +213,8 @@ def test_from_an_unknown_start_it_finds_itself_by_scans() -> None:
         scan = LIDAR.scan(grid, truth, key=jax.random.fold_in(jax.random.key(1), step))
         return localiser.corrected(state, (scan,), (LIDAR,))
 
-    state = localiser.start(truth, grid, (LIDAR,), jax.random.key(2))
+    start = eqx.filter_jit(localiser.start)
+    state = start(truth, grid, (LIDAR,), jax.random.key(2))
     assert not bool(state.is_known)
     assert float(state.uncertainty) > 1.0
     for step in range(40):
@@ -229,7 +224,8 @@ def test_from_an_unknown_start_it_finds_itself_by_scans() -> None:
     assert bool(state.is_known)
     np.testing.assert_allclose(state.pose, truth, atol=0.15)
     # Between scans the pose follows the odometry.
-    moved = localiser.predicted(state, jnp.array([0.5, 0.0, 0.1]), jnp.array(0.5))
+    predicted = eqx.filter_jit(localiser.predicted)
+    moved = predicted(state, jnp.array([0.5, 0.0, 0.1]), jnp.array(0.5))
     yaw = float(state.pose[2])
     ahead = np.asarray(state.pose[:2]) + 0.5 * np.array([np.cos(yaw), np.sin(yaw)])
     np.testing.assert_allclose(moved.pose[:2], ahead, atol=1e-5)

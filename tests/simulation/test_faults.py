@@ -17,7 +17,6 @@ from jaxplore import (
     Lidar,
     OccupancyGrid,
     Perception,
-    explorer,
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
@@ -98,12 +97,13 @@ def run(
     commands: np.ndarray = FORWARD,
     controller: Controller | None = None,
     seed=0,
+    capacity: int = CHUNK,
 ) -> Run:
     controller = Script(jnp.asarray(commands)) if controller is None else controller
     state, key = initial_loop_state(controller, scenario), jax.random.key(seed)
     states, rows, one = [jax.tree.map(np.asarray, state)], [], jnp.asarray(1, jnp.int32)
     for _ in range(60):
-        state, records, _ = run_chunk((controller, scenario, key, one), copied(state), CHUNK)
+        state, records, _ = run_chunk((controller, scenario, key, one), copied(state), capacity)
         states.append(jax.tree.map(np.asarray, state))
         rows.append(jax.tree.map(lambda leaf: np.asarray(leaf)[0], records))
     told = states[-1].controller[1] if isinstance(controller, Script) else np.zeros(0)
@@ -123,6 +123,12 @@ def during(begin: int, end: int) -> np.ndarray:
 def wandering(seed: int) -> np.ndarray:
     """Commands that differ in every step."""
     return np.random.default_rng(seed).uniform([-0.5, -1.0], [1.0, 1.0], (60, 2)).astype(np.float32)
+
+
+@pytest.fixture
+def small_experiment(request):
+    """Return the maker of the other files, whose name is taken here."""
+    return request.getfixturevalue("make")
 
 
 @pytest.fixture(scope="module")
@@ -304,9 +310,9 @@ def test_the_same_key_gives_the_same_run_and_times_do_not_compile_again(walled) 
     assert run_chunk._cached._cache_size() == before
 
 
-def test_mppi_keeps_its_head_while_it_is_lost() -> None:
-    mppi = explorer(ROBOT, horizon=8, num_samples=16).at_period(PERIOD)
-    lost = run(make(Faults(lost_odometry=(0.5, 1.0))), controller=mppi)
+def test_mppi_keeps_its_head_while_it_is_lost(small_experiment) -> None:
+    mppi, scenario = small_experiment(rates={"faults": Faults(lost_odometry=(0.5, 1.0)), **RATES})
+    lost = run(scenario, controller=mppi.at_period(PERIOD), capacity=25)
     records = lost.records
     assert np.isfinite(records.control).all()
     assert (records.control >= ROBOT.control_min).all()
@@ -317,7 +323,8 @@ def test_mppi_keeps_its_head_while_it_is_lost() -> None:
     np.testing.assert_array_equal(lost.maps[11:21], lost.maps[10:20])
     for leaf in jax.tree.leaves(lost.states):
         assert np.isfinite(leaf).all()
-    assert lost.maps[-1][WORLD < 0.5].min() < lost.maps[20][WORLD < 0.5].max()
+    is_free = np.asarray(scenario.world.probability) < 0.5
+    assert lost.maps[-1][is_free].min() < lost.maps[20][is_free].max()
 
 
 @pytest.mark.parametrize("period", [0.02, 0.05, 1.0 / 30.0, 0.1])

@@ -77,7 +77,7 @@ class Watched(NamedTuple):
 
 
 def scenario(
-    faults: Faults | None = None, variation: Variation | None = None, *, is_guarded: bool = True
+    faults: Faults | None = None, variation: Variation | None = None
 ) -> ExplorationScenario:
     perception = Perception(
         LIDAR, 0.1, 0.2, sensor_model=InverseSensorModel.line_of_sight(), num_directions=4
@@ -94,7 +94,7 @@ def scenario(
         sensing_rate=10.0,
         field_rate=5.0,
     ).varied(Variation(control_delay=(0, 4)) if variation is None else variation)
-    return made.guarded(MotionGuard() if is_guarded else None)
+    return made.guarded(MotionGuard())
 
 
 def drive(task: ExplorationScenario, seed: int = 0, delay: int = 0) -> Watched:
@@ -146,8 +146,11 @@ def test_without_a_pose_it_brakes_to_rest_and_says_why(free, fault, code, within
 
 
 def test_without_a_guard_it_runs_into_the_wall() -> None:
-    task = scenario(Faults(frozen_odometry=(1.5, 10.0), **NO_WALLS), is_guarded=False)
-    assert drive(task).records.is_collision.any()
+    """It has one that never finds that the odometry is frozen."""
+    task = scenario(Faults(frozen_odometry=(1.5, 10.0), **NO_WALLS))
+    found = drive(task.guarded(MotionGuard(max_frozen=100.0)))
+    assert not (found.records.stop == FROZEN).any()
+    assert found.records.is_collision.any()
 
 
 def test_it_goes_on_when_the_pose_is_back() -> None:
@@ -195,6 +198,16 @@ def test_ordinary_errors_are_no_fault() -> None:
     for seed in range(8):
         found = drive(scenario(variation=errors), seed=seed, delay=seed % 3)
         np.testing.assert_array_equal(found.records.stop, GOOD)
+
+
+def test_a_robot_that_slips_gets_less_far() -> None:
+    slips = Variation(slip=(0.3, 0.3), control_delay=(0, 4))
+    found = drive(scenario(variation=slips))
+    ways = np.hypot(*np.diff(found.robots[:, :2], axis=0).T)
+    assert ways.sum() > 0.5
+    # The integrator is Euler's: a step goes as far as the speed at its beginning says.
+    speeds = np.abs(found.robots[:-1, 3])
+    np.testing.assert_allclose(ways, 0.7 * PERIOD * speeds, atol=1e-6)
 
 
 def test_nothing_compiles_again() -> None:

@@ -74,6 +74,8 @@ def hall(has_box: bool = False) -> np.ndarray:
     return world
 
 
+# So low and so soft that it stands on any ground: one program with those that tip over.
+FLAT = Chassis(0.4, 0.4, 0.05, suspension=10.0)
 # In a corner that nobody comes to.
 PARKED = MovingObstacle(((7.5, 0.5), (7.5, 0.5)), 0.0, 0.1)
 CORNERS = ((0.5, 5.5), (7.5, 5.5), (0.5, 0.5), (6.5, 0.5))
@@ -88,6 +90,7 @@ def scenario(
     mover: MovingObstacle = PARKED,
     targets=CORNERS,
     robot=ROBOT,
+    chassis: Chassis = FLAT,
     **more,
 ) -> ExplorationScenario:
     """Return one of many that differ in arrays only: they share one compiled loop."""
@@ -117,6 +120,7 @@ def scenario(
         field_rate=0.25 / PERIOD,
         targets=targets,
         moving_obstacles=None if mover is None else MovingObstacles([mover]),
+        chassis=chassis,
         **more,
     )
 

@@ -17,6 +17,7 @@ from jaxplore.simulation.plant import ContinuousPlant, Plant, as_plant
 
 ROBOT = jx.DifferentialDrive(max_speed=1.0, drag=0.1)
 KEY = jax.random.key(3)
+RUNS = jax.random.split(KEY, 50)
 PERIOD, STEPS = jnp.asarray(0.05), 40
 VARIED = jx.Variation(
     {"drag": (0.0, 0.5), "control_max[0]": (0.5, 0.9)},
@@ -211,18 +212,22 @@ def test_without_variation_a_run_is_as_it_was() -> None:
 
 def test_vmap_over_keys_has_a_robot_in_each_run() -> None:
     task = YARD.varied(VARIED)
-    keys = jnp.stack([jax.random.key(seed) for seed in range(3)])
-    together, _ = jax.vmap(lambda key: drive(HOLD, task, key))(keys)
-    for states, key in zip(together[0], keys, strict=True):
+    together, _ = jax.vmap(lambda key: drive(HOLD, task, key))(RUNS)
+    for states, key in zip(together[0][:3], RUNS[:3], strict=True):
         np.testing.assert_allclose(states, in_numpy(VARIED.draw(key, ROBOT)), atol=2e-5)
 
 
 def test_noise_is_that_of_the_commands_and_of_the_observations() -> None:
-    variation = jx.Variation(control_noise=(0.2, 0.2), position_noise=(0.05, 0.05))
+    variation = jx.Variation(
+        {"drag": (0.0, 0.0), "control_max[0]": (1.0, 1.0)},
+        control_noise=(0.2, 0.2),
+        position_noise=(0.05, 0.05),
+        control_delay=(0, 3),
+    )
     still = Hold(jnp.asarray([0.4, 0.0]), 5)
-    robot = jx.DifferentialDrive(max_speed=10.0, drag=0.0)
+    robot = jx.DifferentialDrive(max_speed=10.0, drag=0.1)
     (states, observed), _ = jax.vmap(lambda key: drive(still, Yard(robot).varied(variation), key))(
-        jax.random.split(KEY, 50)
+        RUNS
     )
     turned = np.diff(states[..., 4], axis=1) / 0.05
     # The bound of alpha is 2, and a fifth of it is its noise.
@@ -233,28 +238,32 @@ def test_noise_is_that_of_the_commands_and_of_the_observations() -> None:
     np.testing.assert_allclose(off.std((0, 1)), [0.05, 0.05, 0.0, 0.0, 0.0], rtol=0.05)
 
 
-def test_it_holds_for_exploration_and_path_following() -> None:
-    slips = jx.Variation(slip=(0.3, 0.3))
-    wall = np.zeros((30, 40), np.float32)
-    wall[0], wall[-1], wall[:, 0], wall[:, -1] = 1.0, 1.0, 1.0, 1.0
-    exploration = jx.ExplorationScenario(
-        jx.OccupancyGrid(wall, 0.1), ROBOT, jx.Lidar(8, 1.0), (0.5, 1.5, 0.0), control_rate=20.0
-    )
+def test_it_holds_for_path_following_and_commands_come_late_there_too() -> None:
+    """For explorations too: `test_guard.py`."""
     model = jx.mpcc(jx.Ackermann(), jx.race_track(seed=1)).model
-    path = jx.PathScenario(model, jx.race_track(seed=1), control_rate=20.0)
-    for scenario, command in ((exploration, [0.5, 0.0]), (path, [0.5, 0.0, 0.5])):
-        hold = Hold(jnp.asarray(command), scenario.robot.state_size)
-        records, _ = drive(hold, scenario.varied(slips), KEY)
-        state = scenario.start
-        for _ in range(STEPS):
-            state = scenario.robot.step(state, hold.command, PERIOD)
-        # The drive is straight, so the model alone says how far it goes without slip.
-        whole, slipped = (
-            float(jnp.linalg.norm(scenario.robot.position(end - scenario.start)))
-            for end in (state, records.state[-1])
-        )
-        assert whole > 0.5
-        assert slipped == pytest.approx(0.7 * whole, rel=1e-3)
+    faults = jx.Faults(control_delay=3)
+    path = jx.PathScenario(model, jx.race_track(seed=1), control_rate=20.0, faults=faults)
+    hold = Hold(jnp.asarray([0.5, 0.0, 0.5]), path.robot.state_size)
+    records, _ = drive(hold, path.varied(jx.Variation(slip=(0.3, 0.3))), KEY)
+    # Three commands are under way before the first one takes effect, which is no fault.
+    np.testing.assert_array_equal(records.control[:3], np.zeros((3, 3)))
+    np.testing.assert_array_equal(records.control[3:], np.tile(hold.command, (STEPS - 3, 1)))
+    assert not records.is_faulty.any()
+
+    @jax.jit
+    def after(state):
+        def step(_, state):
+            return path.robot.step(state, hold.command, PERIOD)
+
+        return jax.lax.fori_loop(3, STEPS, step, state)
+
+    # The drive is straight, so the model alone says how far it goes without slip.
+    whole, slipped = (
+        float(jnp.linalg.norm(path.robot.position(end - path.start)))
+        for end in (after(path.start), records.state[-1])
+    )
+    assert whole > 0.5
+    assert slipped == pytest.approx(0.7 * whole, rel=1e-3)
 
 
 def test_settings_describe_it_for_every_kind_of_task() -> None:

@@ -123,5 +123,6 @@ def descent_field(
         descent=jnp.stack(direction),
         frame=frame,
         # Costlier than any place on the map, leftovers a kilometre away included.
-        outside=jnp.asarray(1e4),
+        # With its type: a resumed run, whose arrays have theirs, would be another program.
+        outside=jnp.asarray(1e4, jnp.float32),
     )
