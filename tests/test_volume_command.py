@@ -14,14 +14,18 @@ from jaxplore.cli import main
 from jaxplore.maps.files.volume_file import read_volume
 from jaxplore.settings.volume import GENERATED
 
-FEW = ("--samples", "64", "--set", "camera.columns=24", "--set", "camera.rows=16")
+# As in the tests of volumes elsewhere, which run these programs too.
+FEW = (
+    *("--samples", "128", "--set", "controller.horizon=20"),
+    *("--set", "camera.columns=32", "--set", "camera.rows=24"),
+)
 
 
 @pytest.fixture
 def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Write a room of 4 m by 3 m by 2 m, and work beside it."""
+    """Write a room of 8 m by 4 m by 2.4 m, and work beside it."""
     monkeypatch.chdir(tmp_path)
-    solid = np.zeros((10, 15, 20), bool)
+    solid = np.zeros((12, 20, 40), bool)
     solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
     np.save("room.npy", solid)
     return tmp_path
@@ -110,7 +114,7 @@ def test_a_file_is_read_once_until_it_changes(room: Path, monkeypatch) -> None:
 
     monkeypatch.setattr("jaxplore.build.volume.read_volume", counted)
     settings = make_settings({"volume": str(room / "room.npy"), "resolution": 0.2})
-    assert volume_shape(settings) == volume_shape(settings) == (10, 15, 20)
+    assert volume_shape(settings) == volume_shape(settings) == (12, 20, 40)
     assert len(read) == 1
     np.save("room.npy", np.ones((4, 5, 6), bool))
     assert volume_shape(settings) == (4, 5, 6)

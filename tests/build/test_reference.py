@@ -28,7 +28,7 @@ from jaxplore.settings.reference import (
     setting_names,
 )
 from jaxplore.settings.sections import Section, section_class
-from jaxplore.settings.volume import VolumeSettings
+from jaxplore.settings.volume import GENERATED, VolumeSettings
 
 
 def row_of(name: str, task: str = "exploration") -> Row:
@@ -119,8 +119,14 @@ def test_every_difference_is_in_a_note() -> None:
 # Who reads a setting
 
 MAP = {"map": "map.yaml", "start": (1.5, 1.5, 0.0), "resolution": 0.1}
+FOREST = {"volume": "forest", "generated": {"size": (8.0, 6.0, 2.4)}, "resolution": 0.2}
 CASES: dict[str, dict[str, Any]] = {
     **{place: {"map": place} for place in PLACES},
+    # Small, because what is read does not depend on the size. A maze has two storeys.
+    **{
+        place: {**FOREST, "volume": place, "generated": {"size": (8.0, 6.0, height)}}
+        for place, height in {**dict.fromkeys(GENERATED, 2.4), "maze3d": 5.6}.items()
+    },
     "a rule": {"map": "office", "architecture": "wander"},
     **{
         name: {"map": "zones", "architecture": name}
@@ -142,9 +148,9 @@ CASES: dict[str, dict[str, Any]] = {
     "discs": {"path": "track", "obstacles": {"discs": [[0.0, 0.0, 0.1]]}},
     "a bicycle along a path": {"path": "track", "robot": {"model": "bicycle"}},
     "a volume file": {"volume": "room.npy", "resolution": 0.2},
-    "rules in a volume": {"volume": "forest", "architecture": "nearest-cluster"},
-    "two-layer in a volume": {"volume": "forest", "architecture": "two-layer"},
-    "a lidar in a volume": {"volume": "forest", "camera": None, "lidar": {}},
+    "rules in a volume": {**FOREST, "architecture": "nearest-cluster"},
+    "two-layer in a volume": {**FOREST, "architecture": "two-layer"},
+    "a lidar in a volume": {**FOREST, "camera": None, "lidar": {}},
     "a robot along a path": {"path": "track", "robot": {"model": "differential_drive"}},
 }
 

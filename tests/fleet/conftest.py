@@ -14,7 +14,8 @@ from jaxplore.simulation.fleet.scenario import Fleet
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4), (1.9, 1.5, 0.1))
-CHUNK = 25
+CHUNK = 10
+"""Steps of a chunk; those of `simulate` at this rate, so `parts_program.py` runs these programs."""
 
 
 def two_rooms() -> OccupancyGrid:
@@ -87,9 +88,7 @@ def paired(fleet):
     """Return the state and the records of robots after some seconds."""
 
     @functools.cache
-    def make(radio_range: float, order: tuple[int, ...] = (0, 1)):
-        radio = Radio(radio_range, uses_sight=False)
-        steps = 100 if len(order) == 2 else 50
-        return advanced(*fleet([STARTS[i] for i in order], radio), steps)
+    def make(radio_range: float):
+        return advanced(*fleet(STARTS[:2], Radio(radio_range, uses_sight=False)), 100)
 
     return make

@@ -4,6 +4,7 @@ import dataclasses
 import io
 import json
 import pickle
+import shutil
 import zipfile
 
 import jax
@@ -55,6 +56,20 @@ def test_a_run_that_is_read_equals_the_one_that_was_written(kind, request, tmp_p
         assert images[0] == images[1]
 
 
+@pytest.fixture(scope="module")
+def written_once(tmp_path_factory):
+    """Return where a run was written: its pictures take longer than all that is tested here."""
+    return tmp_path_factory.mktemp("written") / "run"
+
+
+@pytest.fixture
+def folder(recording, written_once, tmp_path):
+    """Return a run folder of the recording, to damage."""
+    if not written_once.exists():
+        save_run(recording, recording.metrics(), written_once, animation=False)
+    return shutil.copytree(written_once, tmp_path / "run")
+
+
 def changed(folder, **arrays) -> None:
     with np.load(folder / stored.NAME) as held:
         known = {name: held[name] for name in held if name not in arrays}
@@ -91,9 +106,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("expected", DAMAGE)
-def test_a_damaged_folder_gets_one_line(expected, recording, tmp_path) -> None:
-    folder = tmp_path / "run"
-    save_run(recording, recording.metrics(), folder, animation=False)
+def test_a_damaged_folder_gets_one_line(expected, folder) -> None:
     DAMAGE[expected](folder)
     with pytest.raises(ValueError, match=expected) as caught:
         Run.load(folder)
@@ -101,11 +114,7 @@ def test_a_damaged_folder_gets_one_line(expected, recording, tmp_path) -> None:
     assert "accepted: " in str(caught.value)
 
 
-def test_folders_that_are_too_large_or_hold_programs_are_refused(
-    recording, tmp_path, monkeypatch
-) -> None:
-    folder = tmp_path / "run"
-    save_run(recording, recording.metrics(), folder, animation=False)
+def test_folders_that_are_too_large_or_hold_programs_are_refused(folder, monkeypatch) -> None:
     monkeypatch.setattr(stored, "CONTENT_LIMIT", 1000)
     with pytest.raises(ValueError, match="it holds more than 1000 bytes"):
         load_run(folder, lambda *_: None)
@@ -130,8 +139,6 @@ def test_a_recording_of_other_things_is_saved_but_cannot_be_loaded(recording, tm
         Run.load(tmp_path / "run")
 
 
-def test_a_folder_without_a_newer_field_has_its_default(recording, tmp_path) -> None:
-    folder = tmp_path / "run"
-    save_run(recording, recording.metrics(), folder, animation=False)
+def test_a_folder_without_a_newer_field_has_its_default(folder) -> None:
     restructured(folder, lambda structure: structure["fields"].pop("given_up_step"))
     assert Run.load(folder).recording.given_up_step is None
