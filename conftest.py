@@ -11,6 +11,7 @@ import gc
 import hashlib
 import os
 import platform
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -150,8 +151,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Together(config, log)
 
 
-LONG = "pytestmark = pytest.mark.long"
-"""The line of a file of tests that compiles much, or starts programs that do."""
+LONG = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.long\b", re.MULTILINE)
+"""How a file of tests says that it compiles much, or starts programs that do."""
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -163,7 +164,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
         return None
     is_long = collection_path.suffix == ".md" and collection_path.name != "README.md"
     if collection_path.suffix == ".py":
-        is_long = f"\n{LONG}\n" in collection_path.read_text(encoding="utf-8")
+        is_long = LONG.search(collection_path.read_text(encoding="utf-8")) is not None
     return True if is_long != (config.option.markexpr == "long") else None
 
 

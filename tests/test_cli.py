@@ -21,6 +21,8 @@ from jaxplore.cli import _show, _streams, main
 from jaxplore.cli._entries import option_entries
 from jaxplore.report.folder import is_reserved
 
+pytestmark = pytest.mark.long
+
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 
 

@@ -30,6 +30,8 @@ from jaxplore.simulation.loop import _initial_memory, _initial_task, frame_array
 from jaxplore.study import Comparison
 from jaxplore.study import experiments as running
 
+pytestmark = pytest.mark.long
+
 Experiments = dict[str, tuple[Controller, ExplorationScenario, int]]
 
 SEEDS = (3, 1)

@@ -15,6 +15,8 @@ from jaxplore.gym.vector_environment import _step_each
 from jaxplore.report.drawing.palette import ROBOT
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
+pytestmark = pytest.mark.long
+
 NAME = f"jaxplore.gym:{ENVIRONMENT}"
 TOGETHER = {"num_envs": 3, "vectorization_mode": "vector_entry_point"}
 # Two floors, so that all environments of controls share one compiled step.

@@ -12,6 +12,8 @@ from PIL import Image
 from jaxplore.cli import main
 from jaxplore.maps import OccupancyGrid
 
+pytestmark = pytest.mark.long
+
 pytest.importorskip("gtsam")
 
 

@@ -13,6 +13,8 @@ from jaxplore.build.tasks import build
 from jaxplore.cli import main
 from jaxplore.settings.path import make_path_settings
 
+pytestmark = pytest.mark.long
+
 SMALL = ["--samples", "16", "--set", "controller.horizon=6"]
 ARC = np.linspace(0.0, np.pi, 9)
 CENTRE = np.stack([4.0 * np.sin(ARC), 4.0 - 4.0 * np.cos(ARC)], axis=-1)

@@ -10,6 +10,8 @@ from mcap.reader import make_reader
 import jaxplore as jx
 from jaxplore.cli import main
 
+pytestmark = pytest.mark.long
+
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 
 

@@ -22,6 +22,8 @@ from jaxplore.settings.exploration import scenario_path as path_of
 from jaxplore.simulation.loop import initial_loop_state, moment_at
 from jaxplore.simulation.state import LoopState
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(autouse=True)
 def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,8 @@ from jaxplore.study.comparison.compare import compare
 from jaxplore.study.runner import Runner
 from jaxplore.study.variants import make_variants
 
+pytestmark = pytest.mark.long
+
 QUICK = {"path": "track", "time_limit": 0.6, "controller": {"num_samples": 16, "horizon": 6}}
 VARIED = ["--vary", "controller.temperature=10,300"]
 COMMAND = ["compare", "path", "--samples", "16", "--set", "controller.horizon=6"]

@@ -15,6 +15,8 @@ from jaxplore.simulation.monitor import Requests
 from jaxplore.simulation.run import Run
 from jaxplore.view import LiveView, Replay
 
+pytestmark = pytest.mark.long
+
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 ROOM = ["office", "--set", "office.width=9", "--set", "office.height=8", "--range", "2.0", *SMALL]
 TEMPERATURE = "weighting.temperature"

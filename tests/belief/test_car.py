@@ -21,6 +21,8 @@ from jaxplore.geometry import Rectangle
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
 from jaxplore.maps.clearance import clearance_field
 
+pytestmark = pytest.mark.long
+
 CELL, STRIDE, SPACING = 0.1, 2, 0.2
 REQUIRED = 0.25
 BODY = Rectangle(0.6, 0.1, 0.3, 2)

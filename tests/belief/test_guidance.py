@@ -20,6 +20,8 @@ from jaxplore.belief.tiles import Outline, Tiling, relaxed_by_tiles, relaxed_eve
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.frame import GridFrame
 
+pytestmark = pytest.mark.long
+
 geodesic_jit = jax.jit(geodesic)
 OUTLINE = Outline((np.inf, np.inf), (1, 1))
 TILING = Tiling()

@@ -23,6 +23,8 @@ from jaxplore.belief.dwell import add_dwell, with_given_up
 from jaxplore.maps import Ground
 from jaxplore.maps.frame import GridFrame
 
+pytestmark = pytest.mark.long
+
 LIDAR = Lidar(num_beams=72, max_range=1.5, range_noise=0.0)
 PERCEPTION = Perception(LIDAR, 0.1, 0.2, num_directions=16)
 init = eqx.filter_jit(lambda perception, *arguments: perception.init(*arguments))

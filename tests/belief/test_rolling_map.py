@@ -18,6 +18,8 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.volume import DepthCamera
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
+pytestmark = pytest.mark.long
+
 SIDE, RANGE = 0.2, 2.0
 CAMERA = DepthCamera(24, 18, max_range=RANGE, quadratic_noise=0.0)
 PARTS = {"max_clearance": 0.8, "min_information": 0.03}

@@ -19,6 +19,8 @@ from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.window import Window
 from jaxplore.sensing.volume import DepthCamera, RingLidar
 
+pytestmark = pytest.mark.long
+
 SIDE, SIZE = 0.2, (8.0, 5.0, 2.4)
 LIDAR = RingLidar(20, 144, max_range=3.0, lowest=-0.6, highest=0.6, range_noise=0.0)
 AROUND = VolumePerception([LIDAR], SIDE, 0.3, max_clearance=1.0, min_information=0.03)

@@ -15,6 +15,8 @@ from benchmarks.bound.tour import Planner, line_length
 from hypothesis import given
 from hypothesis import strategies as st
 
+pytestmark = pytest.mark.long
+
 Make = Callable[..., Problem]
 SHAPE = (24, 40)
 

@@ -26,6 +26,8 @@ from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.loop import run_chunk
 from jaxplore.simulation.run import Run
 
+pytestmark = pytest.mark.long
+
 SHAPE = (60, 90)
 OPEN = np.zeros(SHAPE, bool)
 """Free cells of three rooms, and of a fourth one without a door."""

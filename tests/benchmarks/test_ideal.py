@@ -9,6 +9,8 @@ from jaxplore import Lidar, OccupancyGrid, Perception
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import simulate
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def scenario() -> ExplorationScenario:

@@ -29,6 +29,8 @@ from jaxplore.settings.volume import VolumeSettings
 from jaxplore.simulation.exploration import scenario as scenario_module
 from jaxplore.simulation.exploration.reachability import drivable_cells
 
+pytestmark = pytest.mark.long
+
 
 def assert_equal(found: Any, expected: Any) -> None:
     """Compare all leaves and the structure, static fields included."""

@@ -14,6 +14,8 @@ from .mutations import FORMATS, MUTATIONS
 from .outcomes import Call, Judged, Outcome, judge, judge_stop
 from .trials import Trials
 
+pytestmark = pytest.mark.long
+
 NUM_CASES, NUM_MUTATIONS = 34, 10
 
 

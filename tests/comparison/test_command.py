@@ -16,6 +16,8 @@ from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.store import Store, open_store
 
+pytestmark = pytest.mark.long
+
 Timeless = Callable[[Store], list[Row]]
 
 

@@ -21,6 +21,8 @@ from jaxplore.study.comparison.store import Plan, Store, open_store
 from jaxplore.study.runner import Runner
 from jaxplore.study.workers.ray_pool import RayPool
 
+pytestmark = pytest.mark.long
+
 Timeless = Callable[[Store], list[Row]]
 
 FATAL = """

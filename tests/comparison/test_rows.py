@@ -26,6 +26,8 @@ from jaxplore.study.comparison.rows import (
     store_row,
 )
 
+pytestmark = pytest.mark.long
+
 
 def read(data: bytes) -> list[Row]:
     import pyarrow.parquet

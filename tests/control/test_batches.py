@@ -27,6 +27,8 @@ from jaxplore import (
 )
 from jaxplore.control import CubicSpline
 
+pytestmark = pytest.mark.long
+
 
 def make(temperature=0.3, std=0.5, goal=1.0, drag=0.1, reference=0.1, parameterisation=None):
     """Return a controller that differs in numbers of every part, traced or not."""

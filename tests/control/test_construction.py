@@ -39,6 +39,8 @@ from jaxplore.control import (
     SobolNoise,
 )
 
+pytestmark = pytest.mark.long
+
 ROBOT = PointMass(2)
 COST = StateCost({"x": 1.0, "y": 1.0}, {"x": 1.0})
 GAUSSIAN = GaussianProposal([0.5, 0.5])

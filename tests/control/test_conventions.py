@@ -32,6 +32,8 @@ from jaxplore.control import (
 )
 from jaxplore.costs import QuadraticControlCost
 
+pytestmark = pytest.mark.long
+
 DT = 0.1
 
 

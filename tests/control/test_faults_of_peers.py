@@ -24,6 +24,8 @@ from jaxplore import (
 from jaxplore.control import CubicSpline, Direct, WorstCase
 from jaxplore.costs import QuadraticControlCost
 
+pytestmark = pytest.mark.long
+
 MASS = PointMass(2)
 GOAL = GoalCost([1.0, 0.5])
 REST = jnp.zeros(4)

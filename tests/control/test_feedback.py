@@ -33,6 +33,8 @@ from jaxplore.control import (
 )
 from jaxplore.costs import QuadraticControlCost
 
+pytestmark = pytest.mark.long
+
 MASS = PointMass(2, max_acceleration=4.0)
 TO_POINT = StateCost(
     {"x": 1.0, "y": 0.5, "vx": 0.2, "vy": 0.2}, {"x": 0.5}, terminal_weight=3.0

@@ -35,6 +35,8 @@ from jaxplore.planning.strategy.followers import (
 from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
 from jaxplore.planning.strategy.twist_follower import TwistFollower
 
+pytestmark = pytest.mark.long
+
 MASS, GRAVITY, LAG = 1.3, 9.81, 0.05
 FLIGHT = Quadrotor(MASS, GRAVITY, LAG)
 PILOT = QuadrotorFollower()

@@ -11,6 +11,8 @@ import pytest
 
 import jaxplore as jx
 
+pytestmark = pytest.mark.long
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "tune_by_gradient.py"
 ROBOT = jx.Unicycle(max_speed=2.0, max_turn_rate=2.0)
 COST = (

@@ -22,6 +22,8 @@ from jaxplore import (
 from jaxplore.control import AntitheticNoise, CovarianceAdaptation, CubicSpline, Direct, SobolNoise
 from jaxplore.costs import QuadraticControlCost
 
+pytestmark = pytest.mark.long
+
 HORIZON, DT, LAMBDA = 6, 0.2, 0.4
 STD = 0.8
 START = np.array([0.0, 0.3])

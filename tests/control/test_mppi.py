@@ -9,6 +9,8 @@ import pytest
 
 from jaxplore import MPPI, Cost, DifferentialDrive, Dynamics, GaussianProposal, Softmax
 
+pytestmark = pytest.mark.long
+
 HORIZON, SAMPLES, DT, TEMPERATURE = 7, 64, 0.1, 0.5
 STD = np.array([0.6, 1.1])
 TARGET = np.array([1.0, 0.5])

@@ -12,6 +12,8 @@ from jaxplore import ColouredNoise
 from jaxplore.control import AntitheticNoise, LogNormalNoise, NoiseBank, WhiteNoise
 from jaxplore.control.noise import LARGE
 
+pytestmark = pytest.mark.long
+
 ROWS, SIZE, SAMPLES = SHAPE = (4, 2, 4000)
 SOURCES = {
     "white": WhiteNoise(),

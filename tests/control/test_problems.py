@@ -36,7 +36,7 @@ from jaxplore.control import (
 )
 from jaxplore.costs import QuadraticControlCost, ReferenceCost
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("unchecked")]
 
 
 @eqx.filter_jit

@@ -26,6 +26,8 @@ from jaxplore import (
 )
 from jaxplore.control import Disturbance, MeanVariance, ModelEnsemble
 
+pytestmark = pytest.mark.long
+
 with np.load(Path(__file__).parent / "peers" / "pytorch_mppi.npz", allow_pickle=False) as stored:
     RECORD = dict(stored)
 

@@ -40,6 +40,8 @@ from jaxplore.control import (
 )
 from jaxplore.geometry import Outlines
 
+pytestmark = pytest.mark.long
+
 COUNTS = [1, 2, 7, 10]
 LEVELS = [Fraction(n, 20) for n in range(1, 20)] + [Fraction(1, 3), Fraction(6, 7)]
 

@@ -20,6 +20,8 @@ from jaxplore import (
 from jaxplore.control import rollout_costs, rollout_objectives
 from jaxplore.costs import ControlJerkCost
 
+pytestmark = pytest.mark.long
+
 HORIZON, DT = 8, jnp.asarray(0.1)
 OBJECTIVES = (
     GoalCost([3.0, 1.0], terminal_weight=4.0),

@@ -9,6 +9,8 @@ import pytest
 from jaxplore import Ackermann, DifferentialDrive, Unicycle
 from jaxplore.control.validation import StopCheck
 
+pytestmark = pytest.mark.long
+
 ROBOT = DifferentialDrive(max_speed=1.0, max_acceleration=1.0, drag=0.0, radius=0.2)
 CHECK = StopCheck(margin=0.05)
 PERIOD = jnp.array(0.1)

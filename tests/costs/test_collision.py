@@ -17,6 +17,8 @@ from jaxplore.costs import CollisionCost
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.field import ScalarField
 
+pytestmark = pytest.mark.long
+
 DISC = DifferentialDrive(radius=0.2)
 # Two discs of 0.25 m: half of 0.6 m ahead is 0.3 m, and 0.15 and 0.2 make 0.25.
 CAR = Ackermann(min_speed=-2.0, footprint=Rectangle(0.5, 0.1, 0.4, num_discs=2))

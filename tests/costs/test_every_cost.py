@@ -42,6 +42,8 @@ from jaxplore.maps import Ground
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 
+pytestmark = pytest.mark.long
+
 RNG = np.random.default_rng(0)
 # All goals, obstacles and paths lead through (0, 0): that is where gradients are delicate.
 HERE = np.zeros(2)

@@ -18,6 +18,8 @@ from jaxplore.control import rollout_costs
 from jaxplore.geometry import Outlines
 from jaxplore.geometry.footprint import Rectangle
 
+pytestmark = pytest.mark.long
+
 REACH = st.floats(-6, 6, width=32)
 ANGLE = st.floats(-7, 7, width=32)
 POINT = st.tuples(REACH, REACH)

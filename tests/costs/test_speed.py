@@ -26,6 +26,8 @@ from jaxplore import (
 from jaxplore.control import rollout, rollout_objectives
 from jaxplore.costs import BackwardsCost, SpeedLimitCost, extract
 
+pytestmark = pytest.mark.long
+
 LINE = PathParameter(2.0)
 ROBOTS: dict[str, Dynamics] = {
     "ackermann": Ackermann(min_speed=-1.0),

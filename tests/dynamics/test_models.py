@@ -22,6 +22,8 @@ from jaxplore import (
 )
 from jaxplore.geometry import Disc
 
+pytestmark = pytest.mark.long
+
 # Each with every numeric argument and another value for it.
 SPEEDS = {"max_speed": 1.1, "min_speed": -0.3}
 CAR = {**SPEEDS, "max_steering": 0.3, "max_acceleration": 0.7}

@@ -24,6 +24,8 @@ from jaxplore import (
     Unicycle,
 )
 
+pytestmark = pytest.mark.long
+
 DT = 0.05
 BACKWARDS = {"min_speed": -0.8}
 ROBOTS = {

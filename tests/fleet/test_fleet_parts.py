@@ -12,6 +12,8 @@ import pytest
 from jaxplore.control.fleet_share import Share
 from jaxplore.simulation.fleet.scenario import Fleet
 
+pytestmark = pytest.mark.long
+
 PROGRAM = Path(__file__).with_name("parts_program.py")
 
 

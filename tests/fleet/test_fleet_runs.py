@@ -24,6 +24,8 @@ from jaxplore.simulation.fleet.starts import near_starts
 from jaxplore.simulation.loop import initial_loop_state, moment_at, run_chunk
 from jaxplore.simulation.run import Run
 
+pytestmark = pytest.mark.long
+
 STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4), (1.9, 1.5, 0.1))
 FAR, NEAR = 100.0, 0.5
 

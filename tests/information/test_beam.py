@@ -25,6 +25,8 @@ from jaxplore.information.beam import (
 from jaxplore.information.gain import CellGains, CellSensor, IdealSensor, cell_gains
 from jaxplore.information.noise import GaussianNoise, RangeNoise, ToeplitzNoise, UniformNoise
 
+pytestmark = pytest.mark.long
+
 Law = Callable[[int, np.ndarray], np.ndarray]
 """From the cell that was hit and the edges to the probability of a reading in each cell."""
 

@@ -18,6 +18,8 @@ from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.information.gain import CellSensor, IdealSensor
 from jaxplore.information.noise import GaussianNoise
 
+pytestmark = pytest.mark.long
+
 RESOLUTION = 0.1
 TRACES = []
 

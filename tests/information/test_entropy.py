@@ -13,6 +13,8 @@ from jaxplore import Lidar, OccupancyGrid
 from jaxplore.information.batches import BATCH
 from jaxplore.information.entropy import EntropyFan, pose_table
 
+pytestmark = pytest.mark.long
+
 SHAPE, RESOLUTION, ORIGIN = (14, 18), 0.25, (1.0, -2.0, 0.6)
 LIDAR = Lidar(num_beams=7, max_range=2.1, field_of_view=2.0)
 SEEING = EntropyFan(LIDAR, num_ranges=9, decay_length=1.5)

@@ -19,6 +19,8 @@ from jaxplore.information.field_sensor import TILE, FieldSensor
 from jaxplore.information.noise import GaussianNoise, RangeNoise, UniformNoise
 from jaxplore.information.pose import PoseInformation
 
+pytestmark = pytest.mark.long
+
 MODEL = InverseSensorModel()
 RESOLUTION, ORIGIN = 0.1, (1.0, -2.0, 0.7)
 TRACES = []

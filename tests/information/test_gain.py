@@ -14,6 +14,8 @@ from jaxplore.information import expected_gain, update_gain
 from jaxplore.information.gain import IdealSensor, cell_gains
 from jaxplore.information.noise import GaussianNoise
 
+pytestmark = pytest.mark.long
+
 WIDE = InverseSensorModel(occupied=0.85, free=-0.4, minimum=-30.0, maximum=30.0)
 
 

@@ -17,6 +17,8 @@ from jaxplore.information.local_field import LocalFieldSensor
 from jaxplore.information.noise import GaussianNoise, UniformNoise
 from jaxplore.information.pose import PoseInformation
 
+pytestmark = pytest.mark.long
+
 SHAPE, RESOLUTION, ORIGIN = (110, 97), 0.1, (1.0, -2.0, 0.7)
 QUARTER = Lidar(12, 2.0, math.pi / 2)
 SEEDS = PoseInformation(Lidar(12, 10.0, math.pi / 2), InverseSensorModel.from_odds())

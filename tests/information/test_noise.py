@@ -18,6 +18,8 @@ from jaxplore import InverseSensorModel
 from jaxplore.information.beam import beam_information, cell_information
 from jaxplore.information.noise import GaussianNoise, RangeNoise, ToeplitzNoise, UniformNoise
 
+pytestmark = pytest.mark.long
+
 MODEL = InverseSensorModel()
 SIZES = pytest.mark.parametrize("n", [1, 7, 200])
 

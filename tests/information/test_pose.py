@@ -16,6 +16,8 @@ from jaxplore.information.gain import IdealSensor
 from jaxplore.information.noise import GaussianNoise, UniformNoise
 from jaxplore.information.pose import PoseInformation
 
+pytestmark = pytest.mark.long
+
 SHAPE, RESOLUTION = (25, 31), 0.1
 CLAMPED, LITERATURE = InverseSensorModel(), InverseSensorModel.from_odds()
 FULL, NARROW = Lidar(24, 1.6), Lidar(9, 1.6, 0.9)

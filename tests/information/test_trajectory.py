@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from jaxplore import Lidar, OccupancyGrid, PoseInformation, TrajectoryInformation
 from jaxplore.information import path_headings
 
+pytestmark = pytest.mark.long
+
 METHODS = ("direct", "discount", "filtered", "temporal", "occlusion")
 SHAPE, RESOLUTION, LENGTH = (13, 16), 0.1, 7
 FRAMES = [(0.0, 0.0, 0.0), (2.0, -1.0, 0.7), (-0.3, 4.0, -2.5)]

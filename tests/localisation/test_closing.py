@@ -21,6 +21,8 @@ from jaxplore.maps.frame import GridFrame
 from jaxplore.report import absolute_error
 from jaxplore.sensing import Lidar, Scan
 
+pytestmark = pytest.mark.long
+
 pytest.importorskip("gtsam")
 SENSOR = Lidar(120, max_range=3.0)
 SENSORS = (SENSOR,)

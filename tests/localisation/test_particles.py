@@ -16,6 +16,8 @@ from jaxplore.geometry.motion import between
 from jaxplore.localisation import LikelihoodField, Odometry, OdometryBias, ParticleFilter, Particles
 from jaxplore.localisation.resampling import effective_sample_size, low_variance_indices
 
+pytestmark = pytest.mark.long
+
 KEY = jax.random.key(0)
 # A small room with a corner cut off, on a map that ends at its walls.
 CELL, ORIGIN = 0.2, (-1.2, -1.0, 0.0)

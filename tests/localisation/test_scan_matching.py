@@ -18,6 +18,8 @@ from jaxplore.localisation.surface import LEAST_WEIGHT
 from jaxplore.maps.frame import GridFrame
 from jaxplore.sensing import Lidar, Scan
 
+pytestmark = pytest.mark.long
+
 SIDE, ORIGIN, SHAPE = 0.1, (-3.6, -2.6, 0.0), (52, 72)
 SENSOR = Lidar(180, max_range=8.0)
 WAY = jnp.zeros(())

@@ -19,6 +19,8 @@ from jaxplore.maps.padding import common_shapes, padded_shape
 from jaxplore.sensing.base import update_grid
 from jaxplore.sensing.beams import Scan
 
+pytestmark = pytest.mark.long
+
 SIDES = st.integers(1, 3000)
 LIDAR = Lidar(num_beams=24, max_range=1.2, range_noise=0.0)
 MODEL = InverseSensorModel()

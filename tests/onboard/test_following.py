@@ -11,6 +11,8 @@ from jaxplore.onboard import steps
 from jaxplore.onboard.following import MOST_LENGTH, NUM_NODES, path_of_points
 from jaxplore.onboard.options import Mode
 
+pytestmark = pytest.mark.long
+
 LATENCY = 0.06
 
 

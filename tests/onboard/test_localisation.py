@@ -13,6 +13,8 @@ from jaxplore.onboard.odometry import PoseHistory
 from jaxplore.onboard.options import Mode
 from jaxplore.sensing.beams import Scan
 
+pytestmark = pytest.mark.long
+
 LATENCY, DRIFT, MAX_JUMP = 0.06, 0.08, 0.05
 COMPILED = "/jax/core/compile/backend_compile_duration"
 

@@ -7,6 +7,8 @@ from jaxplore.onboard import steps
 from jaxplore.onboard.options import Mode, PilotOptions
 from jaxplore.sensing.beams import Scan
 
+pytestmark = pytest.mark.long
+
 LATENCY = 0.06
 """Two periods of delay, and one in which a command waits for the next step."""
 

@@ -36,6 +36,8 @@ from jaxplore.planning.presets.quadrotor import ARCHITECTURES, zone_choice
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
+pytestmark = pytest.mark.long
+
 CHUNK, PERIOD = 50, 0.05
 WORLD = dataclasses.replace(three_zones(), resolution=0.2)
 ROBOT = Quadrotor()

@@ -15,6 +15,8 @@ from jaxplore.maps import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning import GradientReference
 
+pytestmark = pytest.mark.long
+
 SHAPE, RESOLUTION = (24, 30), 0.1  # 2.4 m x 3 m
 STRAIGHT = (0.0, 0.0, 0.0)
 FRAMES = [STRAIGHT, (1.0, -2.0, 0.7), (-0.5, 0.3, -2.4)]

@@ -35,6 +35,8 @@ from jaxplore.planning.portfolio.fusion import Fused
 from jaxplore.planning.presets.ground_vehicle import COLLISION, REGIONS, ROLE_WEIGHTS, objectives
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
+pytestmark = pytest.mark.long
+
 DRIVE = DifferentialDrive(max_speed=1.0)
 SMALL = {"horizon": 12, "num_samples": 64, "parameterisation": "direct"}
 START, GOAL = (1.5, 3.0), (6.8, 4.8)

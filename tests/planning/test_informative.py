@@ -48,6 +48,8 @@ from jaxplore.planning import (
 )
 from jaxplore.planning.strategy.references import ClimbingReference, StrategicReference
 
+pytestmark = pytest.mark.long
+
 HORIZON, NUM_SAMPLES, DT, PERIOD, EVERY = 8, 32, 0.05, 0.02, 5
 ALTITUDE = -2.0
 WORLD = dataclasses.replace(three_zones(), resolution=0.2)

@@ -10,6 +10,8 @@ from jaxplore.costs.path_following import CorridorCost
 from jaxplore.geometry.curves import clothoid_path, line_path, path_through
 from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 
+pytestmark = pytest.mark.long
+
 CAR = jx.KinematicBicycle(2.5, 1e-3, max_speed=15.0, max_acceleration=3.0, max_steering=0.5)
 # A car on a street: the defaults are a race car's.
 NUMBERS = {

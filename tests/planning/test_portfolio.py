@@ -28,6 +28,8 @@ from jaxplore.costs.heading_for import RegionCost
 from jaxplore.planning import SafeFusion, WeightedVote, diversity
 from jaxplore.planning.portfolio.normalisation import FLOOR
 
+pytestmark = pytest.mark.long
+
 ROBOT, DT, HORIZON, SAMPLES = DifferentialDrive(max_speed=1.0), 0.1, 8, 32
 HALF_RANGE = np.asarray(ROBOT.control_max, np.float64)
 HARD = DiscObstacleCost([[1.0, 0.1]], 0.1, clearance=0.25, collision=2.0)

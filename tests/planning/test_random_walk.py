@@ -32,6 +32,8 @@ from jaxplore.information import InformationField
 from jaxplore.maps import ScalarField
 from jaxplore.planning import RandomWalk, goal_mppi, random_walk
 
+pytestmark = pytest.mark.long
+
 HORIZON, NUM_SAMPLES, DT, PERIOD, EVERY = 6, 32, 0.1, 0.05, 4
 TEMPERATURE, WEIGHT, DISTANCE = 0.7, 1.5, 2.5
 ROBOT = PointMass(max_speed=0.5, max_acceleration=2.0, integrator=Euler())

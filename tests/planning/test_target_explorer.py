@@ -38,6 +38,8 @@ from jaxplore.planning.strategy.target_rules import (
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
+pytestmark = pytest.mark.long
+
 RESOLUTION, SHAPE, STRIDE, REQUIRED = 0.1, (50, 60), 2, 0.25
 KEY = jax.random.key(0)
 LIDAR = Lidar(num_beams=60, max_range=2.0, range_noise=0.05)

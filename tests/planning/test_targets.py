@@ -26,6 +26,8 @@ from jaxplore.planning.strategy.references import ReferenceStart, descend
 from jaxplore.planning.strategy.target_choices import RemainingInformation, TrajectoryChoice
 from jaxplore.planning.strategy.targets import TargetReference, Targets
 
+pytestmark = pytest.mark.long
+
 SIZE, RESOLUTION, REQUIRED = 40, 0.1, 0.21  # 4 m x 4 m
 FREE, DIM, UNKNOWN, WALL = 0.01, 0.2, 0.5, 0.99
 STRAIGHT, TURNED = (0.0, 0.0, 0.0), (1.0, -2.0, 0.7)

@@ -22,6 +22,8 @@ from jaxplore.planning.presets.volume import ARCHITECTURES
 from jaxplore.planning.strategy.volume_reference import FLAT
 from jaxplore.simulation.loop import run_chunk
 
+pytestmark = pytest.mark.long
+
 SIDE = 0.2
 ROBOT = jx.Quadrotor()
 CAMERA = jx.DepthCamera(32, 24)

@@ -15,6 +15,8 @@ from jaxplore.planning.strategy.target_progress import PATIENCE, RADIUS
 from jaxplore.planning.strategy.target_rules import NearestCluster, NearestFrontier
 from jaxplore.simulation.loop import run_chunk
 
+pytestmark = pytest.mark.long
+
 SIDE = 0.2
 ROBOT = jx.Quadrotor()
 CAMERA = jx.DepthCamera(32, 24)

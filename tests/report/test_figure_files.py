@@ -7,6 +7,8 @@ from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.plots import map_figure
 from jaxplore.report.save import save_run
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize(
     ("given", "expected"),

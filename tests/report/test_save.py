@@ -11,6 +11,8 @@ from jaxplore.maps.files.ros import read_map
 from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.save import save_run
 
+pytestmark = pytest.mark.long
+
 FILES = [
     "arrays.npz",
     "coverage.png",

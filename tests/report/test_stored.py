@@ -16,6 +16,8 @@ from jaxplore.report.save import save_run
 from jaxplore.report.stored import load_run
 from jaxplore.simulation.run import Run
 
+pytestmark = pytest.mark.long
+
 
 def drawn(draw) -> bytes:
     stream = io.BytesIO()

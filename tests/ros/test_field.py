@@ -12,9 +12,12 @@ import pytest
 from jaxplore.simulation.run import Run
 
 HERE = Path(__file__).parent
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("rclpy") is None, reason="ROS 2 (rclpy) is not installed"
-)
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(
+        importlib.util.find_spec("rclpy") is None, reason="ROS 2 (rclpy) is not installed"
+    ),
+]
 
 
 def ros_environment() -> dict[str, str]:

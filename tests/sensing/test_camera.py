@@ -12,6 +12,8 @@ from jaxplore.maps.ground import Ground
 from jaxplore.sensing.base import Sighting, update_grid
 from jaxplore.sensing.beams import Scan
 
+pytestmark = pytest.mark.long
+
 REACH, VIEW, VERTICAL, HEIGHT, TILT = 4.0, 1.2, 0.9, 0.5, -0.15
 CAMERA = Camera(24, REACH, VIEW, VERTICAL, HEIGHT, TILT)
 BOTTOM, TOP = TILT - VERTICAL / 2, TILT + VERTICAL / 2

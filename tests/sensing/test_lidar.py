@@ -11,6 +11,8 @@ from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
 from jaxplore.maps.ground import Ground
 from jaxplore.sensing.beams import Scan
 
+pytestmark = pytest.mark.long
+
 RESOLUTION, ORIGIN = 0.2, (-1.0, 2.0, 0.4)
 LIDAR = Lidar(num_beams=24, max_range=2.5, range_noise=0.0)
 SECTOR = Lidar(num_beams=19, max_range=2.5, field_of_view=math.radians(270), range_noise=0.0)

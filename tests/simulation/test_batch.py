@@ -7,6 +7,8 @@ from jaxplore.simulation import batch as batches
 from jaxplore.simulation.batch import record_runs
 from jaxplore.simulation.run import record_run
 
+pytestmark = pytest.mark.long
+
 KEYS = jax.random.split(jax.random.key(3), 3)
 STEPS = 300
 

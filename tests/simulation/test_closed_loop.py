@@ -29,6 +29,8 @@ from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import _initial_task, copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import Run, record_run, simulate
 
+pytestmark = pytest.mark.long
+
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
 ONE = jnp.asarray(1, jnp.int32)  # as record_run counts: a weak type would be another program
 

@@ -18,6 +18,8 @@ from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import record_run
 
+pytestmark = pytest.mark.long
+
 KEY = jax.random.key(5)
 FIRST = jnp.asarray(0, jnp.int32)
 AHEAD = jnp.asarray([1.0, 0.0])

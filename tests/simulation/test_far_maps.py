@@ -15,6 +15,8 @@ from jaxplore.simulation.monitor import Monitor
 from jaxplore.simulation.run import Run
 from jaxplore.simulation.stacking import Stacked
 
+pytestmark = pytest.mark.long
+
 DATUM = Datum(500_000.0, 4_649_776.0)
 KEY = jax.random.key(3)
 STEPS = 80

@@ -25,6 +25,8 @@ from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 from jaxplore.simulation.state import LoopState
 
+pytestmark = pytest.mark.long
+
 PERIOD, CHUNK = 0.05, 10  # the chunk is record_run's own, so that nothing is compiled twice
 WORLD = np.zeros((30, 40), np.float32)
 WORLD[0], WORLD[-1], WORLD[:, 0], WORLD[:, -1] = 1.0, 1.0, 1.0, 1.0

@@ -17,6 +17,8 @@ from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
+pytestmark = pytest.mark.long
+
 SHORT: dict[str, Any] = {
     "map": "zones",
     "resolution": 0.2,

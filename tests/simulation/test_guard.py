@@ -24,6 +24,8 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.guard import FROZEN, GOOD, LOST, MISFIT, REASONS
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
+pytestmark = pytest.mark.long
+
 STEPS, PERIOD = 80, 0.05
 WORLD = np.zeros((30, 40), np.float32)
 WORLD[0], WORLD[-1], WORLD[:, 0], WORLD[:, -1] = 1.0, 1.0, 1.0, 1.0

@@ -14,6 +14,8 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import simulate
 
+pytestmark = pytest.mark.long
+
 LIDAR = jx.Lidar(num_beams=90, max_range=4.0, range_noise=0.01)
 ROBOT = jx.Quadrotor()
 # Ten times as biased as by default: the IMU is lost within seconds.

@@ -6,6 +6,8 @@ import pytest
 from jaxplore import LatencyCompensation, simulate
 from jaxplore.build.tasks import build, make_settings
 
+pytestmark = pytest.mark.long
+
 SMALL = {
     "map": "office",
     "office": {"width": 8.0, "height": 7.0},

@@ -17,6 +17,8 @@ from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import simulate
 from jaxplore.simulation.state import Moment
 
+pytestmark = pytest.mark.long
+
 LIDAR = jx.Lidar(num_beams=180, max_range=3.0, range_noise=0.01)
 ROBOT = jx.DifferentialDrive(max_speed=1.0)
 ODOMETRY = Odometry(turn_per_distance=0.03, turn_per_metre=0.05)

@@ -37,6 +37,8 @@ from jaxplore.simulation.loop import (
 )
 from jaxplore.simulation.state import LoopState, Moment
 
+pytestmark = pytest.mark.long
+
 SHAPE, RESOLUTION = (30, 40), 0.2  # 8 m x 6 m
 PERIOD, CAPACITY = 0.05, 40
 ROBOT = DifferentialDrive(max_speed=1.0, max_acceleration=2.0, drag=0.0, radius=0.25)

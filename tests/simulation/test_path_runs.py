@@ -14,6 +14,8 @@ from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 from jaxplore.simulation.state import Moment
 
+pytestmark = pytest.mark.long
+
 RING = jx.geometry.clothoid_path(
     [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
 )

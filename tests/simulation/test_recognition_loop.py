@@ -13,6 +13,8 @@ from jaxplore.maps import LabelledObject
 from jaxplore.sensing import Detector
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
+pytestmark = pytest.mark.long
+
 SHAPE, RESOLUTION, STEPS = (20, 40), 0.2, 120  # 8 m x 4 m
 CLASSES = ("barrel", "person")
 DETECTOR = Detector(CLASSES, ((0.9, 0.1), (0.1, 0.9)), recall=0.9, reach=6.0)

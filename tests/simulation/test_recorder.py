@@ -12,6 +12,8 @@ from jaxplore import simulate
 from jaxplore.recorder import McapRecorder
 from jaxplore.simulation.monitor import Monitor, Requests
 
+pytestmark = pytest.mark.long
+
 STEPS = 43
 KEY = jax.random.key(3)
 

@@ -30,6 +30,8 @@ from jaxplore.maps import Ground
 from jaxplore.maps.collision import clearance_reach, disc_clearance
 from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
 
+pytestmark = pytest.mark.long
+
 ROBOT = DifferentialDrive(radius=0.2)
 LIDAR = Lidar(16, 1.0)
 

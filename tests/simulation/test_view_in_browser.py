@@ -26,9 +26,12 @@ from jaxplore.report.drawing.palette import ROBOT
 from jaxplore.report.drawing.rollout_costs import COST_COLOURS
 from jaxplore.view import LiveView
 
-pytestmark = pytest.mark.skipif(
-    shutil.which("chromium") is None, reason="no Chromium: apt-get install chromium"
-)
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(
+        shutil.which("chromium") is None, reason="no Chromium: apt-get install chromium"
+    ),
+]
 KEY = jax.random.key(3)
 
 DRAWN = 0.3

@@ -24,6 +24,8 @@ from jaxplore.maps.generators.volumes import START
 from jaxplore.report.volume.recording import PALE, TRAIL
 from jaxplore.simulation.loop import run_chunk
 
+pytestmark = pytest.mark.long
+
 SIDE = 0.2
 ROBOT = jx.Quadrotor()
 CAMERA = jx.DepthCamera(32, 24)

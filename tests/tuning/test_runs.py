@@ -22,6 +22,8 @@ from jaxplore.study.tuning.result import TuningResult
 from jaxplore.study.tuning.significance import change, changes, table, verdict
 from jaxplore.study.tuning.trials import Trial
 
+pytestmark = pytest.mark.long
+
 QUICK = {
     "path": "track",
     "time_limit": 0.6,

@@ -18,6 +18,8 @@ from jaxplore.study.tuning import (
 )
 from jaxplore.study.tuning.pictures import importances
 
+pytestmark = pytest.mark.long
+
 START = {"a": -0.9, "b": 50.0}
 SPACE = Space((Parameter("a", -1.0, 1.0), Parameter("b", 0.1, 100.0, is_log=True)))
 
