@@ -119,7 +119,10 @@ TOGETHER = [
         *("comparison/test_command.py", "comparison/test_processes.py", "comparison/test_rows.py"),
         *("comparison/test_run_episodes.py", "comparison/test_page.py"),
     ],
-    ["simulation/test_batch.py", "simulation/test_closed_loop.py"],
+    [
+        *(f"simulation/test_{name}.py" for name in ("batch", "closed_loop", "environment")),
+        *(f"simulation/test_{name}.py" for name in ("far_maps", "faults", "live_view", "monitor")),
+    ],
     [
         *("tests/test_cli.py", "tests/test_resume_command.py", "tests/test_view_command.py"),
         "tests/test_describe.py",
