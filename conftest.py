@@ -124,6 +124,10 @@ TOGETHER = [
         *(f"simulation/test_{name}.py" for name in ("far_maps", "faults", "live_view", "monitor")),
     ],
     [
+        *("simulation/test_volume.py", "tests/test_volume_command.py"),
+        *("planning/test_volume_informative.py", "planning/test_volume_targets.py"),
+    ],
+    [
         *("tests/test_cli.py", "tests/test_resume_command.py", "tests/test_view_command.py"),
         "tests/test_describe.py",
     ],

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.kinds import AROUND, CAR, NO_FAULTS, OTHER, RING, SHARED, TRAFFIC, mpcc
 
 import jaxplore as jx
 from jaxplore.costs.base import WeightedCost
@@ -16,38 +17,7 @@ from jaxplore.simulation.state import Moment
 
 pytestmark = pytest.mark.long
 
-RING = jx.geometry.clothoid_path(
-    [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
-)
-CAR = jx.Ackermann(
-    wheelbase=0.33,
-    max_speed=4.0,
-    max_acceleration=6.0,
-    max_steering_rate=3.0,
-    footprint=jx.Rectangle(0.45, 0.13, 0.3),
-    integrator=jx.Euler(),
-)
-OTHER = 20.0 * jx.ComfortCost(lateral=1.0, free_lateral=6.0)
-KEEP = {"nearness": None, "margin": 0.02, "caution": 1.0, "nearest_only": True}
-AROUND = 100.0 * jx.MovingObstacleCost(clearance=0.4, collision=1.0, **KEEP)
-
-
-def mpcc(path=RING, *, other=OTHER, **changes):
-    given = {
-        "noise_std": [2.4, 1.2],
-        "progress_weight": 300.0,
-        "comfort_weight": None,
-        "temperature": 10.0,
-        "num_samples": 128,
-    }
-    return jx.mpcc(CAR, path, other=other, **{**given, **changes})
-
-
 ALONE, PASSING = mpcc(), mpcc(other=OTHER + AROUND)
-TRAFFIC = jx.Traffic(RING, [6.0, 12.0], [0.3, -0.3], [0.5, 0.8], radii=0.15)
-SHARED = {"control_rate": 50.0, "traffic": TRAFFIC}
-NO_FAULTS = jx.Faults()
-"""So that a run without a fault and those with one are the same program."""
 
 
 @pytest.fixture(scope="module")

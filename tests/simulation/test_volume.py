@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import ImageColor
+from tests.kinds import CAMERA, QUADROTOR, SIDE, volume, volume_controller
 
 import jaxplore as jx
 from jaxplore.costs import (
@@ -26,32 +27,15 @@ from jaxplore.simulation.loop import run_chunk
 
 pytestmark = pytest.mark.long
 
-SIDE = 0.2
-ROBOT = jx.Quadrotor()
-CAMERA = jx.DepthCamera(32, 24)
-
-
-def room(has_wall: bool = True) -> jx.VoxelGrid:
-    """Return a room of 8 m by 4 m by 2.4 m with half a wall across it."""
-    solid = np.zeros((12, 20, 40), bool)
-    solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
-    solid[:, :8, 15] = has_wall
-    return jx.VoxelGrid.solid(solid, SIDE)
-
-
-def scenario(has_wall: bool = True, start=(1.2, 2.0, 1.2, 0.3), **more) -> jx.VolumeScenario:
-    more = {"target_coverage": 0.95, **more}
-    return jx.VolumeScenario(room(has_wall), ROBOT, CAMERA, start, **more)
-
 
 @pytest.fixture(scope="module")
 def controller():
-    return jx.volume_explorer(ROBOT, horizon=20, num_samples=128)
+    return volume_controller()
 
 
 @pytest.fixture(scope="module")
 def run(controller):
-    return jx.simulate(controller, scenario(), 500, key=jax.random.key(0))
+    return jx.simulate(controller, volume(), 500, key=jax.random.key(0))
 
 
 def test_it_explores_a_room_without_a_contact(run) -> None:
@@ -71,11 +55,11 @@ def test_it_explores_a_room_without_a_contact(run) -> None:
 
 def test_equal_seeds_give_equal_runs_and_other_rooms_do_not_recompile(run, controller) -> None:
     before = run_chunk._cached._cache_size()
-    again = jx.simulate(controller, scenario(), 500, key=jax.random.key(0))
+    again = jx.simulate(controller, volume(), 500, key=jax.random.key(0))
     np.testing.assert_array_equal(again.recording.records.state, run.recording.records.state)
     other = jx.simulate(
         controller,
-        scenario(False, (4.0, 2.0, 1.0, -2.0), target_coverage=0.6),
+        volume(False, (4.0, 2.0, 1.0, -2.0), target_coverage=0.6),
         100,
         key=jax.random.key(1),
     )
@@ -160,7 +144,7 @@ def test_a_replay_shows_its_voxels_in_space(run) -> None:
 
 
 def test_the_clearance_is_the_distance_to_the_nearest_cube() -> None:
-    given = scenario()
+    given = volume()
     clearance = eqx.filter_jit(given.clearance)
     for x, y, z, wanted in (
         (1.2, 2.0, 1.2, 0.7),  # to the wall at x = 0.2 m
@@ -169,23 +153,23 @@ def test_the_clearance_is_the_distance_to_the_nearest_cube() -> None:
         (3.4, 2.0, 1.2, math.hypot(0.2, 0.4) - 0.3),  # to its edge
         (2.0, 2.0, 0.4, -0.1),  # in contact with the floor
     ):
-        state = ROBOT.at_pose(x, y, 0.0, -z)
+        state = QUADROTOR.at_pose(x, y, 0.0, -z)
         assert float(clearance(state)) == pytest.approx(wanted, abs=1e-5)
 
 
 def test_a_contact_stops_the_robot() -> None:
-    given = scenario(False, (0.8, 2.0, 1.2, math.pi))
+    given = volume(False, (0.8, 2.0, 1.2, math.pi))
     state, _ = given.init(None)
     fast = state.robot.at[3].set(-3.0)
     moment = _moment(given)
     after, record = given.advance(
-        state._replace(robot=fast.at[0].set(0.6)), ROBOT.default_control, *moment
+        state._replace(robot=fast.at[0].set(0.6)), QUADROTOR.default_control, *moment
     )
     assert bool(record.is_collision)
     np.testing.assert_allclose(after.robot[:3], [0.6, 2.0, -1.2], atol=1e-6)
     np.testing.assert_array_equal(after.robot[3:6], 0.0)
     lost = state._replace(robot=state.robot.at[3].set(jnp.nan))
-    after, record = given.advance(lost, ROBOT.default_control, *moment)
+    after, record = given.advance(lost, QUADROTOR.default_control, *moment)
     assert not bool(record.is_collision)
 
 
@@ -199,7 +183,7 @@ def _moment(given):
 
 
 def test_attitudes_turn_the_body_with_z_up() -> None:
-    level = np.asarray(attitude_upwards(ROBOT.at_pose(0.0, 0.0, 0.7)))
+    level = np.asarray(attitude_upwards(QUADROTOR.at_pose(0.0, 0.0, 0.7)))
     cos, sin = math.cos(0.7), math.sin(0.7)
     np.testing.assert_allclose(level, [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], atol=1e-6)
     # A positive pitch of an FRD body lifts the nose.
@@ -207,12 +191,12 @@ def test_attitudes_turn_the_body_with_z_up() -> None:
     up = jnp.zeros(13).at[6].set(math.cos(half)).at[8].set(math.sin(half))
     nose = np.asarray(attitude_upwards(up))[:, 0]
     np.testing.assert_allclose(nose, [math.cos(0.3), 0.0, math.sin(0.3)], atol=1e-6)
-    above = position_upwards(ROBOT.at_pose(1.0, 2.0, 0.0, -3.0))
+    above = position_upwards(QUADROTOR.at_pose(1.0, 2.0, 0.0, -3.0))
     np.testing.assert_allclose(above, [1.0, 2.0, 3.0])
 
 
 def test_costs_are_what_they_say() -> None:
-    given = scenario(False)
+    given = volume(False)
     _, belief = given.init(None)
     belief = eqx.tree_at(
         lambda each: (each.clearance.values, each.guidance.values, each.attention.values),
@@ -223,11 +207,11 @@ def test_costs_are_what_they_say() -> None:
             jnp.full(belief.attention.values.shape, 7.0),
         ),
     )
-    values = ROBOT.at_pose(2.0, 2.0, 0.5, -1.2)
+    values = QUADROTOR.at_pose(2.0, 2.0, 0.5, -1.2)
     sin, cos = math.sin(0.5), math.cos(0.5)
     # 1 m/s backwards and 2 m/s to the left of the heading.
     values = values.at[3].set(-cos - 2.0 * sin).at[4].set(-sin + 2.0 * cos).at[10].set(2.0)
-    state = jx.State(values, ROBOT)
+    state = jx.State(values, QUADROTOR)
 
     def price(cost) -> float:
         return float(cost.stage(state, jnp.zeros(4), jnp.zeros(()), belief))
@@ -244,7 +228,7 @@ def test_costs_are_what_they_say() -> None:
     )
     here = price(VolumeGuidanceCost())
     for x, change in ((5.8, 5.0), (0.4, -5.0)):
-        far = jx.State(values.at[0].set(x), ROBOT)
+        far = jx.State(values.at[0].set(x), QUADROTOR)
         cost = VolumeGuidanceCost(5.0).stage(far, jnp.zeros(4), jnp.zeros(()), belief)
         assert float(cost) == pytest.approx(here + change, abs=1e-4)
     assert price(VolumeInformationCost()) == pytest.approx(-7.0)
@@ -266,7 +250,7 @@ def test_a_volume_is_drawn_from_its_seed(kind: str) -> None:
     assert 0.02 < solid[1:-1, 1:-1, 1:-1].mean() < (0.7 if kind == "cave" else 0.4)
     # A quadrotor fits at the start, and nearly all of the free space can be seen from where it
     # gets.
-    given = jx.VolumeScenario(first, ROBOT, CAMERA, (*START, 0.0))
+    given = jx.VolumeScenario(first, QUADROTOR, CAMERA, (*START, 0.0))
     assert np.asarray(given.observable).sum() > 0.95 * (~solid).sum()
 
 
@@ -284,7 +268,7 @@ def test_a_volume_is_drawn_from_its_seed(kind: str) -> None:
 )
 def test_what_is_not_possible_is_refused(change: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        scenario(**change)
+        volume(**change)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,114 @@
+"""A small closed loop of each kind of task: the files that use them share its compiled programs."""
+
+from typing import Any
+
+import numpy as np
+
+import jaxplore as jx
+from jaxplore.control.fleet_controller import FleetController, same_for_all
+from jaxplore.planning.presets.path_following import PathFollowing
+from jaxplore.simulation.fleet.scenario import Fleet
+
+# A volume: a quadrotor with a depth camera in a room with half a wall across it.
+
+SIDE = 0.2
+"""Of a voxel [m]."""
+QUADROTOR = jx.Quadrotor()
+CAMERA = jx.DepthCamera(32, 24)
+
+
+def room(has_wall: bool = True) -> jx.VoxelGrid:
+    """Return a room of 8 m by 4 m by 2.4 m with half a wall across it."""
+    solid = np.zeros((12, 20, 40), bool)
+    solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
+    solid[:, :8, 15] = has_wall
+    return jx.VoxelGrid.solid(solid, SIDE)
+
+
+def volume(
+    has_wall: bool = True, start: tuple[float, ...] = (1.2, 2.0, 1.2, 0.3), **more: Any
+) -> jx.VolumeScenario:
+    """Return the exploration of the room."""
+    more = {"target_coverage": 0.95, **more}
+    return jx.VolumeScenario(room(has_wall), QUADROTOR, CAMERA, start, **more)
+
+
+def volume_controller() -> jx.control.Controller:
+    """Return its controller."""
+    return jx.volume_explorer(QUADROTOR, horizon=20, num_samples=128)
+
+
+# A path: a car on a closed ring, past two discs.
+
+RING = jx.geometry.clothoid_path(
+    [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
+)
+CAR = jx.Ackermann(
+    wheelbase=0.33,
+    max_speed=4.0,
+    max_acceleration=6.0,
+    max_steering_rate=3.0,
+    footprint=jx.Rectangle(0.45, 0.13, 0.3),
+    integrator=jx.Euler(),
+)
+OTHER = 20.0 * jx.ComfortCost(lateral=1.0, free_lateral=6.0)
+KEEP = {"nearness": None, "margin": 0.02, "caution": 1.0, "nearest_only": True}
+AROUND = 100.0 * jx.MovingObstacleCost(clearance=0.4, collision=1.0, **KEEP)
+
+
+def mpcc(path: Any = RING, *, other: Any = OTHER, **changes: Any) -> PathFollowing:
+    """Return a follower of a path; a car's on the ring where nothing else is given."""
+    given = {
+        "noise_std": [2.4, 1.2],
+        "progress_weight": 300.0,
+        "comfort_weight": None,
+        "temperature": 10.0,
+        "num_samples": 128,
+    }
+    return jx.mpcc(CAR, path, other=other, **{**given, **changes})
+
+
+TRAFFIC = jx.Traffic(RING, [6.0, 12.0], [0.3, -0.3], [0.5, 0.8], radii=0.15)
+SHARED = {"control_rate": 50.0, "traffic": TRAFFIC}
+NO_FAULTS = jx.Faults()
+"""So that a run without a fault and those with one are the same program."""
+
+# A fleet: equal robots in two rooms with a door.
+
+STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4), (1.9, 1.5, 0.1))
+
+
+def two_rooms() -> jx.OccupancyGrid:
+    """Return 6 x 3 m: two rooms and a door."""
+    world = np.zeros((30, 60), np.float32)
+    world[0], world[-1], world[:, 0], world[:, -1] = 1.0, 1.0, 1.0, 1.0
+    world[:, 30] = 1.0
+    world[12:20, 30] = 0.0
+    return jx.OccupancyGrid(world, 0.1)
+
+
+def alone() -> jx.ExplorationScenario:
+    """Return the exploration of one small robot; all fleets are made of it."""
+    robot = jx.DifferentialDrive(max_speed=1.0, radius=0.15)
+    lidar = jx.Lidar(num_beams=36, max_range=1.5, range_noise=0.01)
+    perception = jx.Perception(lidar, 0.1, 0.15, num_directions=4, max_clearance=0.5)
+    return jx.ExplorationScenario(
+        two_rooms(), robot, lidar, STARTS[0], perception=perception, control_rate=20.0,
+        field_rate=4.0,
+    )  # fmt: skip
+
+
+def fleet_explorer(robot: jx.dynamics.Dynamics, *, has_others: bool) -> jx.control.Controller:
+    """Return the controller of one robot, among others or alone."""
+    cost = jx.MovingObstacleCost(nearness=None, clearance=0.6)
+    sizes = {"horizon": 10, "num_samples": 32}
+    return jx.explorer(robot, has_moving_obstacles=has_others, moving_obstacle_cost=cost, **sizes)
+
+
+def fleet(
+    one: jx.ExplorationScenario, starts: Any = STARTS[:2], radio: Any = None, **options: Any
+) -> tuple[FleetController, Fleet]:
+    """Return a fleet of robots like one, and its controller."""
+    scenario = Fleet(one, starts, radio=radio, plan_length=10, **options)
+    controller = fleet_explorer(one.robot, has_others=scenario.num_robots > 1)
+    return same_for_all(controller, scenario.robot), scenario
