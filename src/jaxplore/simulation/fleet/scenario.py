@@ -26,6 +26,7 @@ from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.finish import has_coverage_target
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import checked_members, identities
@@ -200,9 +201,15 @@ class Fleet(Scenario):
     def init(self, key: Key | None) -> tuple[FleetState, FleetBelief]:
         """Return the initial state, and the beliefs with the prior map."""
         members, starts = [], self.robot.split_state(self.start)
-        for index in self.share.mine:
-            here = eqx.tree_at(lambda each: each.start, self.members[index], starts[index])
-            alone = here.init(key)[0]
+
+        def begin(one: ExplorationScenario, start: StateVector) -> ExplorationState:
+            here: ExplorationScenario = eqx.tree_at(lambda each: each.start, one, start)
+            return here.init(key)[0]
+
+        # One compiled body for equal robots: once in a run, copies of their maps do not matter.
+        own = self.explorations.at(self.share.mine)
+        begun = own.each(begin, self.share.own(starts))
+        for index, alone in zip(self.share.mine, begun, strict=True):
             members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
         coverage, team = members[0].progress.coverage, None
         if self.num_robots > 1:
