@@ -70,7 +70,7 @@ class FileCost:
 
     @property
     def instructions(self) -> int:
-        """Instructions of its large programs but those of closed loops, of which a layer has few."""
+        """Instructions of its large programs; those of closed loops have a budget of their own."""
         counted = (each for each in self.programs.values() if not each.is_of_loop)
         return sum(each.instructions for each in counted if each.is_large)
 
