@@ -176,3 +176,15 @@ def test_bounds_and_names() -> None:
     blocked = ROBOT.blocked(robot.at_pose(1.0, 2.0, 0.5), jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2]))
     # A rectangle that turned on the spot would turn into what it touches.
     np.testing.assert_allclose(blocked, [1.0, 2.0, 0.5, 0.0, 0.2])
+
+
+@pytest.mark.parametrize(("speed", "turn"), [(1.0, 0.5), (1.0, -1.0), (-0.8, 0.5), (1.0, 0.1)])
+def test_a_car_that_stops_steers_to_a_share_of_its_greatest_angle(speed, turn) -> None:
+    """By as much as its steering may turn in a period; backwards the other way, as it turns then."""
+    dt, steering = 0.1, 0.15
+    state = jnp.asarray([0.0, 0.0, 0.3, speed, steering], jnp.float32)
+    _, rate = ROBOT.stopping_control(state, jnp.float32(dt), turn)
+    most = float(ROBOT.control_max[1])
+    wanted = (math.copysign(1.0, speed) * turn * 0.6 - steering) / dt
+    assert abs(wanted) > 0.5
+    assert float(rate) == pytest.approx(max(-most, min(most, wanted)), rel=1e-5)
