@@ -180,7 +180,7 @@ def test_bounds_and_names() -> None:
 
 @pytest.mark.parametrize(("speed", "turn"), [(1.0, 0.5), (1.0, -1.0), (-0.8, 0.5), (1.0, 0.1)])
 def test_a_car_that_stops_steers_to_a_share_of_its_greatest_angle(speed, turn) -> None:
-    """By as much as its steering may turn in a period; backwards the other way, as it turns then."""
+    """By what its steering may turn in a period; backwards the other way, as it turns then."""
     dt, steering = 0.1, 0.15
     state = jnp.asarray([0.0, 0.0, 0.3, speed, steering], jnp.float32)
     _, rate = ROBOT.stopping_control(state, jnp.float32(dt), turn)
