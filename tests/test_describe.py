@@ -9,8 +9,6 @@ import jaxplore as jx
 from jaxplore._describe import describe
 from jaxplore.build.tasks import build, make_settings
 
-pytestmark = pytest.mark.long
-
 WORLD = jx.OccupancyGrid(np.pad(np.zeros((58, 78)), 1, constant_values=1.0), 0.1)
 ROBOT = jx.DifferentialDrive(max_speed=1.5, radius=0.25)
 LIDAR = jx.Lidar(num_beams=24, max_range=4.0)

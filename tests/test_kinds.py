@@ -1,5 +1,7 @@
-"""One closed loop of each kind of task but the exploration of a plane, which README's blocks run:
-what is recorded agrees with the true world, computed anew from the recorded states."""
+"""A closed loop of each kind of task, beside the explorations of README's blocks: what is recorded
+agrees with the true world, computed anew from the recorded states."""
+
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -7,6 +9,7 @@ import scipy.ndimage
 from tests import kinds
 
 import jaxplore as jx
+from jaxplore.build.tasks import build, make_settings
 
 KEY = jax.random.key(0)
 
@@ -27,10 +30,18 @@ def check_run(run, again) -> None:
     np.testing.assert_array_equal(again.recording.records.control, records.control)
 
 
-def test_a_quadrotor_explores_a_volume() -> None:
+def check_folder(run, folder: Path) -> None:
+    """Check that a run is read from its folder as it was saved, with pictures."""
+    run.save(folder)
+    assert jx.Run.load(folder).metrics.as_dict() == run.metrics.as_dict()
+    assert list(folder.glob("*.png")) or list(folder.glob("*.gif"))
+
+
+def test_a_quadrotor_explores_a_volume(tmp_path: Path) -> None:
     scenario, controller = kinds.volume(), kinds.volume_controller()
     run, again = (jx.simulate(controller, scenario, 100, key=KEY) for _ in range(2))
     check_run(run, again)
+    check_folder(run, tmp_path / "run")
     coverage = np.asarray(run.recording.records.coverage)
     assert (np.diff(coverage) >= 0.0).all()
     assert coverage[-1] > coverage[0] + 0.1
@@ -43,11 +54,12 @@ def test_a_quadrotor_explores_a_volume() -> None:
     np.testing.assert_allclose(run.recording.records.clearance, away, atol=2.0 * kinds.SIDE)
 
 
-def test_two_robots_explore_two_rooms() -> None:
+def test_two_robots_explore_two_rooms(tmp_path: Path) -> None:
     one = kinds.alone()
     controller, scenario = kinds.fleet(one)
     run, again = (jx.simulate(controller, scenario, 60, key=KEY) for _ in range(2))
     check_run(run, again)
+    check_folder(run, tmp_path / "run")
     records = run.recording.records
     assert records.coverage[-1] > records.coverage[0] + 0.05
     assert (records.coverage[:, None] >= records.coverages - 1e-6)[10:].all()
@@ -63,7 +75,7 @@ def test_two_robots_explore_two_rooms() -> None:
     assert not np.asarray(records.is_contact).any()
 
 
-def test_a_car_follows_a_path_past_others() -> None:
+def test_a_car_follows_a_path_past_others(tmp_path: Path) -> None:
     passing = kinds.mpcc(other=kinds.OTHER + kinds.AROUND)
     scenario = jx.PathScenario(
         passing.model, kinds.RING, laps=2, **kinds.SHARED, faults=kinds.NO_FAULTS
@@ -73,9 +85,32 @@ def test_a_car_follows_a_path_past_others() -> None:
         for _ in range(2)
     )
     check_run(run, again)
+    check_folder(run, tmp_path / "run")
     records = run.recording.records
     x, y = np.asarray(records.state)[:, :2].astype(np.float64).T
     # The ring has its centre at (0, 3) and a radius of 3 m.
     np.testing.assert_allclose(records.deviation, np.hypot(x, y - 3.0) - 3.0, atol=2e-4)
     assert run.metrics.corridor_violations == 0
     assert records.progress[-1] > 3.0
+
+
+def test_a_robot_that_estimates_its_pose_explores_an_office(tmp_path: Path) -> None:
+    """With wheels that drift, a guard, faults and a model that is not quite right."""
+    entries = {
+        "map": "office",
+        "office": {"width": 9.0, "height": 8.0},
+        "lidar": {"num_beams": 72},
+        "controller": {"num_samples": 64, "horizon": 20},
+        "localisation": {"distance_noise": 0.02},
+        "variation": {"gain": [0.9, 1.1]},
+        "faults": {"scan_dropout": [0.4, 0.6]},
+    }
+    controller, scenario, _, key = build(make_settings(entries))
+    run = jx.simulate(controller, scenario, 100, key=key, num_trajectories=0)
+    check_folder(run, tmp_path / "run")
+    records = run.recording.records
+    assert np.asarray(records.is_finite).all()
+    assert run.metrics.collisions == 0
+    # The judge's error is that of the recorded poses.
+    assert 0.0 < run.metrics.ate < 0.1
+    assert run.metrics.path_length > 0.2

@@ -20,8 +20,6 @@ from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps import Ground
 from jaxplore.sensing.change_evidence import BeamModel, beam_evidence
 
-pytestmark = pytest.mark.long
-
 SHAPE, RESOLUTION = (40, 60), 0.1  # 6 m x 4 m
 SENSOR = Lidar(90, 4.0, range_noise=0.05)
 ZONE = (4.0, 0.5, 5.5, 1.5)

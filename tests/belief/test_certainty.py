@@ -15,8 +15,6 @@ from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.field import ScalarField
 from jaxplore.planning.strategy.uncertainty_aware import UncertaintyAware
 
-pytestmark = pytest.mark.long
-
 SIDE = 0.1
 LIDAR = jx.Lidar(num_beams=360, max_range=4.0)
 CERTAINTY = CertaintyField(LIDAR, SIDE, num_directions=64, extent=1.2)

@@ -30,8 +30,6 @@ from jaxplore.settings.reference import (
 from jaxplore.settings.sections import Section, section_class
 from jaxplore.settings.volume import GENERATED, VolumeSettings
 
-pytestmark = pytest.mark.long
-
 
 def row_of(name: str, task: str = "exploration") -> Row:
     (row,) = (each for each in find_rows(name) if each.task == task)

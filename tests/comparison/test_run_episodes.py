@@ -17,8 +17,6 @@ from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.store import Plan, Store, open_store
 from jaxplore.study.runner import Runner
 
-pytestmark = pytest.mark.long
-
 Pretend = Callable[[EpisodeBatch], list[Row]]
 Die = Callable[[int, MapEpisode | None], bool]
 Spread = Callable[..., tuple[list[tuple[int, RowTask]], RunCounts]]

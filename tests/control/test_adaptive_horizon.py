@@ -20,8 +20,6 @@ from jaxplore.control import (
 from jaxplore.control.knots import Knots
 from jaxplore.costs.base import Cost
 
-pytestmark = pytest.mark.long
-
 ROBOT = jx.DifferentialDrive(drag=0.1)
 KEY, LONG = jax.random.key(0), 12
 START = jnp.asarray([0.2, 0.1, 0.3, 0.6, 0.2])

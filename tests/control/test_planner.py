@@ -11,8 +11,6 @@ from jaxplore.compat.batch import rollout_batch
 from jaxplore.compat.planner import Planner
 from jaxplore.control.rollout import rollout_costs
 
-pytestmark = pytest.mark.long
-
 T, K = 8, 32
 MPPI = jx.MPPI(
     jx.KinematicBicycle(),

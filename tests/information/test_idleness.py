@@ -18,8 +18,6 @@ from jaxplore.information.beam_table import BeamTable
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.information.gain import IdealSensor
 
-pytestmark = pytest.mark.long
-
 LONG = hnp.arrays(np.float32, (2, 3), elements=st.floats(0, 1e6, width=32))
 interest = eqx.filter_jit(lambda watch, idleness: watch.interest(idleness))
 

@@ -9,8 +9,6 @@ from jaxplore.onboard import goals
 from jaxplore.onboard.goals import GoalChooser, power_of_two_shape
 from jaxplore.planning import DiscountedInformation
 
-pytestmark = pytest.mark.long
-
 OFFSET = np.array([500_000.0, 4_649_776.0])
 
 

@@ -16,8 +16,6 @@ from jaxplore.ros.bag_writer import BagWriter
 from jaxplore.ros.replay import GAP_SECONDS, replay, replay_topics
 from jaxplore.simulation.monitor import Monitor, Requests
 
-pytestmark = pytest.mark.long
-
 BEGAN, LATENCY = 1_700_000_000.0, 0.06
 WEIGHT = "cost.information.weight"
 

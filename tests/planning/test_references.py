@@ -18,8 +18,6 @@ from jaxplore.maps.frame import GridFrame
 from jaxplore.planning import GradientReference
 from jaxplore.planning.strategy.references import ClimbingReference, ReferenceStart, descend
 
-pytestmark = pytest.mark.long
-
 SIZE, RESOLUTION, STEPS = 40, 0.1, 30
 FRAME = GridFrame(RESOLUTION)
 PERCEPTION = Perception(Lidar(num_beams=8, max_range=1.0), RESOLUTION, 0.15, num_directions=4)

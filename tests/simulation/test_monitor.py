@@ -12,6 +12,8 @@ from jaxplore.parameters import get_parameters
 from jaxplore.simulation.loop import run_chunk
 from jaxplore.simulation.monitor import Monitor, Requests
 
+pytestmark = pytest.mark.long
+
 STEPS = 40
 KEY = jax.random.key(3)
 WEIGHT = "cost.information.weight"

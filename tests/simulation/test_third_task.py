@@ -20,8 +20,6 @@ from jaxplore.simulation.environment.action_modes import ControlMode
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.study.tuning import ControllerEpisodes, tune
 
-pytestmark = pytest.mark.long
-
 
 # The task begins here.
 class BeaconState(NamedTuple):
