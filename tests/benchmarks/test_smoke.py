@@ -8,7 +8,11 @@ from typing import Any
 import pytest
 from benchmarks.__main__ import SECTIONS
 
-pytestmark = pytest.mark.long
+pytestmark = [
+    pytest.mark.long,
+    # The parser of ROS's interfaces imports it.
+    pytest.mark.filterwarnings("ignore:module 'sre_parse' is deprecated:DeprecationWarning"),
+]
 
 EMPTY = {"ratios", "drives", "memory"}
 """Tables that are empty where a peer or ROS is not installed."""

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.kinds import AROUND, CAR, NO_FAULTS, OTHER, RING, SHARED, TRAFFIC, mpcc
+from tests.kinds import AROUND, CAR, KEEP, NO_FAULTS, OTHER, RING, SHARED, TRAFFIC, mpcc
 
 import jaxplore as jx
 from jaxplore.costs.base import WeightedCost
