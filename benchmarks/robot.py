@@ -221,8 +221,8 @@ def _field() -> Iterator[tuple[Path, _Watcher, Callable[..., subprocess.Popen[by
 
         def start(name: str, *arguments: str) -> subprocess.Popen[bytes]:
             line = [*COMMAND, name, *arguments, "--no-animation", "--out", str(place / name)]
-            log = (place / f"{name}.log").open("wb")
-            started.append(subprocess.Popen(line, stdout=log, stderr=subprocess.STDOUT))
+            with (place / f"{name}.log").open("wb") as log:
+                started.append(subprocess.Popen(line, stdout=log, stderr=subprocess.STDOUT))
             return started[-1]
 
         watcher = _Watcher()
