@@ -65,6 +65,15 @@ def test_times_go_there_and_back_to_a_microsecond(seconds, nanoseconds) -> None:
     assert 0 <= other.nanosec < 10**9
 
 
+def test_a_time_just_below_a_second_is_the_second() -> None:
+    """Half a nanosecond or less below it: nanoseconds end at 999,999,999."""
+    stamp = Plain()
+    messages.fill_time(stamp, 8.0 - 2.0**-32)
+    assert (stamp.sec, stamp.nanosec) == (8, 0)
+    messages.fill_time(stamp, 8.0 - 2.0**-29)
+    assert (stamp.sec, stamp.nanosec) == (7, 999_999_998)
+
+
 @MANY
 @given(st.tuples(FINITE, FINITE, ANGLE), st.tuples(FINITE, FINITE, FINITE))
 def test_odometry_goes_there_and_back(pose, twist) -> None:
