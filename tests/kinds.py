@@ -112,3 +112,7 @@ def fleet(
     scenario = Fleet(one, starts, radio=radio, plan_length=10, **options)
     controller = fleet_explorer(one.robot, has_others=scenario.num_robots > 1)
     return same_for_all(controller, scenario.robot), scenario
+
+
+OFFICE = {"map": "office", "office": {"width": 9.0, "height": 8.0}}
+"""Settings of a small office."""

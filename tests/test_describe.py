@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.kinds import OFFICE
 
 import jaxplore as jx
 from jaxplore._describe import describe
@@ -70,8 +71,7 @@ def test_robot_map_controller_and_scenario_are_short_and_have_values() -> None:
 def test_a_run_is_one_line_and_a_picture_with_a_table() -> None:
     # That of the tests of commands: it is compiled for them all.
     entries = {
-        "map": "office",
-        "office": {"width": 9.0, "height": 8.0},
+        **OFFICE,
         "lidar": {"max_range": 2.0},
         "controller": {"num_samples": 32, "horizon": 10},
         "fields": {"num_directions": 8},

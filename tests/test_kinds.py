@@ -95,10 +95,9 @@ def test_a_car_follows_a_path_past_others(tmp_path: Path) -> None:
 
 
 def test_a_robot_that_estimates_its_pose_explores_an_office(tmp_path: Path) -> None:
-    """With wheels that drift, a guard, faults and a model that is not quite right."""
+    """With wheels that drift, a gap in the scans, and controls of another gain than the model."""
     entries = {
-        "map": "office",
-        "office": {"width": 9.0, "height": 8.0},
+        **kinds.OFFICE,
         "lidar": {"num_beams": 72},
         "controller": {"num_samples": 64, "horizon": 20},
         "localisation": {"distance_noise": 0.02},

@@ -23,7 +23,7 @@ from jaxplore.simulation.fleet.assignment import (
     frontier_clusters,
     with_assignments,
 )
-from jaxplore.simulation.fleet.radio import Heard
+from jaxplore.simulation.fleet.radio import Heard, Radio
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -150,3 +150,17 @@ def test_each_robot_is_led_to_the_cluster_that_is_assigned_to_it() -> None:
             is_away = claim[2:4] == ELSEWHERE
             assert is_away[:, :3].all() == is_away[:, :3].any() == (place == 0)
             assert is_away[:, -3:].all() == is_away[:, -3:].any() == (place == 1)
+
+
+def test_robots_hear_each_other_up_to_the_range_wherever_they_are() -> None:
+    """To the millimetre, and far from the origin, where a wrong offset shows."""
+    rng = np.random.default_rng(3)
+    links = Radio(4.0, uses_sight=False).links
+    for origin in ((0.0, 0.0), (60.0, -35.0)):
+        for angle in rng.uniform(0.0, 2.0 * math.pi, 4):
+            way = np.array([math.cos(angle), math.sin(angle)])
+            places = np.array(origin) + way * np.array([0.0, 3.999, 8.0])[:, None]
+            found = np.asarray(links(jnp.asarray(places, jnp.float32), jnp.zeros((3, 3), bool)))
+            wanted = np.zeros((3, 3), bool)
+            wanted[0, 1] = wanted[1, 0] = True
+            np.testing.assert_array_equal(found, wanted)
