@@ -14,6 +14,7 @@ from benchmarks import (
     control_step,
     exploration,
     first_hour,
+    gpu,
     history,
     information,
     informative,
@@ -62,6 +63,7 @@ SECTIONS: dict[str, Section] = {
     "first_hour": first_hour,
     "view": view,
     "robot": robot,
+    "gpu": gpu,
 }
 
 

@@ -35,14 +35,23 @@ TITLES = {
 
 def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of the warehouse's step."""
-    loops: dict[int, TimedLoop] = {}
-    for count in sizes.counts:
-        weights = {f"{ROLES[n % 4]} {n}": _weights(ROLES[n % 4]) for n in range(count)}
-        changes = {"num_samples": sizes.samples, "horizon": sizes.horizon}
-        made = experiment("warehouse", {"weights": weights, **changes})
-        loops[count] = TimedLoop(made.controller, made.scenario, made.key, CHUNK)
+    loops = {count: loop_of(count, sizes.samples, sizes.horizon) for count in sizes.counts}
     members = _members(loops, sizes.steps)
     return {"members": members, "parts": _parts(loops[sizes.parts_of], sizes.runs)}
+
+
+def loop_of(count: int, samples: int, horizon: int) -> TimedLoop:
+    """Return the closed loop of a portfolio in the warehouse.
+
+    Args:
+        count: number of members.
+        samples: number of samples of each.
+        horizon: steps of each rollout.
+    """
+    weights = {f"{ROLES[n % 4]} {n}": _weights(ROLES[n % 4]) for n in range(count)}
+    changes = {"num_samples": samples, "horizon": horizon}
+    made = experiment("warehouse", {"weights": weights, **changes})
+    return TimedLoop(made.controller, made.scenario, made.key, CHUNK)
 
 
 def _members(loops: dict[int, TimedLoop], steps: int) -> Rows:

@@ -6,10 +6,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
-import viser
-from websockets.sync.client import connect
 
 from benchmarks.setting import SMALL, SMALL_OFFICE, Site, available_sites, experiment
 from benchmarks.tables import Rows
@@ -120,6 +117,11 @@ def take(address: str) -> None:
     Args:
         address: link of the view.
     """
+    # Other sections run without the libraries of a page.
+    import msgspec
+    import viser
+    from websockets.sync.client import connect
+
     camera = {
         "type": "ViewerCameraMessage",
         "wxyz": (1.0, 0.0, 0.0, 0.0),
