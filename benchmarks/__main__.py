@@ -92,7 +92,8 @@ def main() -> None:
     parser.add_argument(
         "--page",
         action="store_true",
-        help="write the tables of docs/performance.md from the newest file, and measure nothing",
+        help="write the tables of docs/performance.md from the newest file of each section, and "
+        "measure nothing",
     )
     given = parser.parse_args()
     console = Console(width=180)
@@ -158,7 +159,7 @@ def _page() -> None:
     if not found:
         raise ValueError(f"{history.FOLDER} has no results")
     text = page.PAGE.read_text(encoding="utf-8")
-    page.PAGE.write_text(page.rewritten(text, found[0]), encoding="utf-8")
+    page.PAGE.write_text(page.rewritten(text, history.merged(found)), encoding="utf-8")
 
 
 if __name__ == "__main__":

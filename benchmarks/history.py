@@ -77,6 +77,20 @@ def newest(folder: Path = FOLDER, on: str | None = None) -> list[Results]:
     return sorted(chosen, key=lambda each: str(each["date"]), reverse=True)
 
 
+def merged(found: list[Results]) -> Results:
+    """Return the first of some results with all sections, each from the first that has it.
+
+    A run of one section, on a machine with a GPU for example, then leaves the others as they are.
+
+    Args:
+        found: results, the newest first.
+    """
+    sections: dict[str, Any] = {}
+    for each in found:
+        sections = {**each["sections"], **sections}
+    return {**found[0], "sections": sections}
+
+
 def compare(old: Results, new: Results) -> tuple[Rows, str]:
     """Return a row for each time that became slower or faster, and a sentence on all of them.
 

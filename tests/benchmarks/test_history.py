@@ -84,7 +84,26 @@ def test_missing_tables_and_columns_are_named() -> None:
         page.rewritten("<!-- table: control growth: speed -->\n\n<!-- end -->", found)
 
 
-def test_page_is_written_from_the_newest_results() -> None:
+def test_each_section_of_the_page_has_the_newest_file_that_has_it(tmp_path: Path) -> None:
+    view = {"view": {"runs": [{"": "v", "s": 1.0}]}}
+    files = {
+        "27": {},
+        "28": {"sections": {**results({"a": [2.0]})["sections"], **view}},
+        "29": {"sections": {"gpu": {"times": [{"": "g", "ms": 3.0}]}}, "machine": "gpu-16"},
+    }
+    for day, changes in files.items():
+        date = {"date": f"2026-11-{day}T10:00:00+00:00"}
+        history.save({**results({"a": [1.0]}), **date, **changes}, tmp_path / f"{day}.json")
+    found = history.merged(history.newest(tmp_path))
+    assert found["date"][:10] == "2026-11-29"
+    assert set(found["sections"]) == {"control", "gpu", "view"}
+    assert found["sections"]["control"]["growth"][0]["p50_ms"] == 2.0
+    text = "<!-- table: control growth: p50_ms -->\n\n<!-- end -->"
+    assert "| 2.00 |" in page.rewritten(text, found)
+
+
+def test_page_is_written_from_the_newest_results_of_each_section() -> None:
     text = page.PAGE.read_text(encoding="utf-8")
+    found = history.merged(history.newest())
     assert page.MARKED.search(text)
-    assert page.rewritten(text, history.newest()[0]) == text, "run python -m benchmarks --page"
+    assert page.rewritten(text, found) == text, "run python -m benchmarks --page"
