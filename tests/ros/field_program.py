@@ -75,11 +75,11 @@ def command(name: str, *arguments: str) -> subprocess.Popen:
 
 
 def main(folder: Path) -> dict:
-    office = ["--set", "office.width=26", "--set", "office.height=18", "--beams", "90"]
+    office = ["--set", "office.width=26", "--set", "office.height=18", "--beams", "60"]
     node = [
         "--no-animation",
-        *("--set", "controller.num_samples=100", "--set", "node.map_size=30"),
-        *("--set", "lidar.num_beams=90", "--set", "rates.control=20", "--set", "rates.sensing=10"),
+        *("--set", "controller.num_samples=64", "--set", "node.map_size=30"),
+        *("--set", "lidar.num_beams=60", "--set", "rates.control=20", "--set", "rates.sensing=10"),
         *("--set", "node.max_age=2", "--set", "node.max_frozen=5", "--set", "node.latency=0.1"),
     ]
     robot = command(

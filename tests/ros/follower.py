@@ -18,7 +18,7 @@ AHEAD = 0.3
 """Distance along the path of the point that is driven to [m]."""
 REACHED = 0.4
 """Distance from a goal at which it is reached [m]."""
-SPEED, PERIOD = 0.4, 0.05
+SPEED, PERIOD = 0.6, 0.05
 STRAIGHT = 0.3
 """Difference of heading beyond which the robot turns on the spot [rad]."""
 
