@@ -37,6 +37,8 @@ def hall(*blocks) -> OccupancyGrid:
 
 # The densities
 
+with_obstacle = jax.jit(BeamModel.with_obstacle)
+
 
 def slow_evidence(model, cells, is_free, is_occupied, ranges, is_return):
     """Return the ratios beam by beam and cell by cell, in double precision."""
@@ -59,7 +61,9 @@ def slow_evidence(model, cells, is_free, is_occupied, ranges, is_return):
         elif is_occupied[beam, first]:
             known = (1 - outliers) * norm.pdf(z, wall, noise) + stray if returns else none
         else:
-            known = (1 - outliers) * (behind(z) if returns else 0.5) + (stray if returns else none)
+            # Whatever explains the reading best: the nearest surface from the cell's begin on.
+            at_best = norm.pdf(z, max(z, wall), noise) if returns else 1.0
+            known = (1 - outliers) * at_best + (stray if returns else none)
         for cell in range(entry.shape[1]):
             begin, end = entry[beam, cell], exit_[beam, cell]
             if not np.asarray(cells.is_crossed)[beam, cell] or z < begin - 4 * noise:
@@ -130,11 +134,11 @@ class Sums(NamedTuple):
 
 
 @jax.jit
-def gathered(test, known, poses, person, keys) -> Sums:
-    """Gather evidence in R runs of T scans at poses (T, R, 3), where all is as known."""
+def gathered(test, known, truth, poses, person, keys) -> Sums:
+    """Gather evidence in R runs of T scans at poses (T, R, 3)."""
 
     def one(state, pose, key):
-        scan = FEW.scan(known, pose, key=key, movers=person[None])
+        scan = FEW.scan(truth, pose, key=key, movers=person[None])
         after = test.gathered(state, FEW, known, scan, pose)
         sums = jnp.stack([after.change, after.person])[..., None]
         return after, Sums((sums >= LEVELS).sum(axis=(0, 1, 2)), after.has_alarm)
@@ -178,7 +182,8 @@ def test_false_alarms_keep_the_stated_rate_over_ten_thousand_scans() -> None:
     share = np.linspace(0.0, 1.0, scans)[:, None, None]
     poses = rows_of(ends[0] * (1 - share) + ends[1] * share)
     world = hall((slice(26, 30), slice(16, 24)))
-    done = gathered(test, world, poses, WALK, jax.random.split(jax.random.key(0), (scans, runs)))
+    keys = jax.random.split(jax.random.key(0), (scans, runs))
+    done = gathered(test, world, world, poses, WALK, keys)
     assert done.has_alarm.size == 10_000
     assert float(done.has_alarm.mean()) <= rate
     # For each cell the bound is exp(-h). It is no empty one: there are cells beyond all levels.
@@ -186,6 +191,46 @@ def test_false_alarms_keep_the_stated_rate_over_ten_thousand_scans() -> None:
     tested = math.exp(float(test.init(world).threshold)) * rate
     assert (per_scan <= tested * np.exp(-np.asarray(LEVELS))).all()
     assert (per_scan > 1e-3).all()
+
+
+def test_what_unknown_cells_hold_raises_no_more_alarms() -> None:
+    """A solid block, nothing, and a block further in."""
+    runs, scans, rate = 100, 100, 0.2
+    test = AnomalyTest(false_alarms=rate, forbidden=[ZONE])
+    rows, inner = slice(26, 32), slice(28, 31)
+    values = np.array(hall().probability)
+    for columns in (slice(8, 16), slice(20, 28), slice(32, 40)):
+        values[rows, columns] = 0.5
+    known = OccupancyGrid(values, RESOLUTION)
+    truth = hall((rows, slice(8, 16)), (inner, slice(32, 40)))
+    rng = np.random.default_rng(2)
+    poses = rows_of(rng.uniform([0.8, 1.0, -3.0], [4.2, 2.3, 3.0], (scans, runs, 3)))
+    keys = jax.random.split(jax.random.key(3), (scans, runs))
+    done = gathered(test, known, truth, poses, WALK, keys)
+    assert float(done.has_alarm.mean()) <= rate
+    per_scan = np.asarray(done.exceeded).mean(axis=(0, 1))
+    tested = math.exp(float(test.init(known).threshold)) * rate
+    assert (per_scan <= tested * np.exp(-np.asarray(LEVELS))).all()
+
+
+def test_every_range_has_a_density() -> None:
+    """Rounding gives no logarithm of what is below 0, and a corner that is cut its middle."""
+    rng = np.random.default_rng(4)
+    beams, cells = 500, 400
+    entry = rng.uniform(0.0, 4.0, (beams, 1)).astype(np.float32)
+    length = np.exp(rng.uniform(math.log(1e-7), 0.0, (beams, cells)))
+    edges = np.concatenate([entry, entry + np.cumsum(length, axis=1)], axis=1).astype(np.float32)
+    ranges = rng.uniform(0.0, 6.0, beams).astype(np.float32)
+    model = BeamModel(jnp.float32(0.05), 4.0, jnp.float32(0.02))
+    found = np.asarray(with_obstacle(model, ranges, edges[:, :-1], edges[:, 1:]))
+    assert np.isfinite(found).all()
+    begin, end = (each.astype(float) for each in (edges[:, :-1], edges[:, 1:]))
+    away = ranges[:, None].astype(float)
+    inside = norm.cdf(away, begin, 0.05) - norm.cdf(away, end, 0.05)
+    middle = norm.pdf(away, 0.5 * (begin + end), 0.05)
+    is_long = end - begin > 5e-4
+    density = np.where(is_long, inside / np.where(is_long, end - begin, 1.0), middle)
+    np.testing.assert_allclose(np.exp(found), 0.98 * density + 0.0025, rtol=2e-3, atol=2e-3)
 
 
 @pytest.mark.parametrize("zones", [[], [ZONE], [ZONE, (0.0, 0.0, 1.02, 0.92)]])

@@ -78,6 +78,13 @@ def test_samples_without_a_finite_ratio_have_no_weight() -> None:
         np.testing.assert_allclose(weights_of(part, np.zeros(4), ratio), [0.5, 0, 0, 0.5])
 
 
+@pytest.mark.parametrize("part", [Softmax(0.7, 0.0), AdaptiveSoftmax(3.0, 0.0)])
+def test_a_ratio_that_plays_no_part_excludes_nothing(part) -> None:
+    costs = [1.0, 0.5, 2.0, 0.7]
+    ratio = np.array([0.0, np.nan, np.inf, -np.inf])
+    np.testing.assert_array_equal(weights_of(part, costs, ratio), weights_of(part, costs))
+
+
 def test_derivatives_are_those_of_the_softmax_and_finite() -> None:
     costs = jnp.asarray([1.0, 1.5, 0.7, jnp.inf, jnp.nan])
     jacobian = jax.jit(jax.jacrev(lambda c: Softmax(0.5).weights(c, jnp.zeros(5))))(costs)

@@ -57,6 +57,39 @@ def test_the_error_of_a_loop_is_spread_along_the_chain() -> None:
     assert found.covariance[0, 0] == pytest.approx(0.04 * 10 / 11, rel=1e-3)
 
 
+def logarithm(motion: np.ndarray) -> np.ndarray:
+    """Return the logarithm of a motion of SE(2)."""
+    half = 0.5 * motion[2]
+    cot = half / math.tan(half)
+    x, y = motion[:2]
+    return np.array([cot * x + half * y, cot * y - half * x, motion[2]])
+
+
+def test_errors_are_logarithms_also_of_a_loop_that_is_wrong() -> None:
+    motions = np.array([[1.0, 0.1, 0.5], [0.8, -0.2, 0.6]])
+    covariances = np.array([np.diag([0.04, 0.01, 0.02]), np.diag([0.02, 0.05, 0.01])])
+    loop, of_loop = np.array([0.9, 1.4, -0.6]), np.diag([0.3, 0.1, 0.2])
+    pairs = np.array([[0, 2]])
+    found = optimised(Graph(chain(motions), motions, covariances, pairs, loop[None], of_loop[None]))
+    squares = []
+    for i, j, measured, covariance in (
+        (0, 1, motions[0], covariances[0]),
+        (1, 2, motions[1], covariances[1]),
+        (0, 2, loop, of_loop),
+    ):
+        error = logarithm(
+            between_by_hand(measured, between_by_hand(found.poses[i], found.poses[j]))
+        )
+        # Covariances are given in the frame of the first node, errors are in that of the end.
+        cos, sin = math.cos(measured[2]), math.sin(measured[2])
+        back = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        squares.append(error @ np.linalg.solve(back @ covariance @ back.T, error))
+    size = math.sqrt(squares[2])
+    assert size > HUBER
+    huber = HUBER * (size - 0.5 * HUBER)
+    assert found.error == pytest.approx(0.5 * (squares[0] + squares[1]) + huber, rel=1e-5)
+
+
 def test_a_loop_that_is_heavier_takes_more_of_the_error() -> None:
     motions = np.tile([1.0, 0.0, 0.0], (4, 1))
     covariance = np.diag([0.04, 0.04, 1e-10])

@@ -22,6 +22,7 @@ from jaxplore.belief.roadmap import (
     clear_corners,
     doubled_where_tight,
     fit,
+    narrowest,
 )
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.footprint import Footprint
@@ -137,7 +138,9 @@ class CarLattice(Locomotion):
         """Build the lattice of poses in which the car fits; see `Locomotion`."""
         frame = clearance.frame.coarsen(stride, stride / 2.0)
         room = self._room(clearance, stride)
-        is_open, tightness = fit(room, required)
+        # Motions have no corners that are looked at: a car below half a cell would pass a wall.
+        least = narrowest(stride, clearance.frame.resolution, has_corners=False)
+        is_open, tightness = fit(room, jnp.maximum(required, least))
         slowness = frame.resolution * price(tightness)
         if self.narrow is not None:
             is_narrow = in_passage(is_open, fit(room, self.narrow)[0])

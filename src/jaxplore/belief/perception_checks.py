@@ -8,6 +8,7 @@ from jaxplore._types import Scalar
 from jaxplore._xla import computed
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
+from jaxplore.belief.roadmap import narrowest
 from jaxplore.maps.ground import Ground
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
@@ -131,23 +132,3 @@ def narrow_clearance(
         lambda xp, *each: xp.maximum(each[0] + NARROW_SHARE * each[1], xp.float32(least)),
         *(radius, margin),
     )
-
-
-def narrowest(stride: int, resolution: float, *, has_corners: bool = True) -> float:
-    """Return the least clearance at which no path can jump a wall [m].
-
-    It is that of `safe_stride` for a stride s: with R the clearance plus half a cell, two open
-    cells on two sides of a wall are at least `2 sqrt(R^2 - 1/2)` cells apart. Two such cells in
-    adjacent blocks that are `sqrt(2) (2 s - 1)` cells apart have the wall at the corner between
-    the blocks. Where corners are checked, a step needs free cells there, and all others are at most
-    `sqrt((2 s - 1)^2 + (2 s - 2)^2)` cells apart.
-
-    Args:
-        stride: number of cells between nodes.
-        resolution: side of a map cell [m].
-        has_corners: whether paths are checked at the corners of blocks.
-    """
-    across = 2.0 * stride - 1.0
-    apart = math.hypot(across, across - 1.0 if has_corners else across)
-    # The tolerance counts equal lengths as a path that jumps.
-    return resolution * (math.sqrt(0.25 * apart**2 + 0.5) - 0.5 + 1e-3)

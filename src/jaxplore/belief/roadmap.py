@@ -2,6 +2,7 @@
 
 import abc
 import functools
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -52,19 +53,25 @@ class Roadmap(eqx.Module):
         Args:
             source: cost (H, W) at the nodes where paths may end [m]; infinite elsewhere.
         """
-        if self.is_narrow is None:
-            return geodesic(source, self.slowness, self.is_open, self.corners)
         source = jnp.where(self.is_open, source, jnp.inf)
-        passable = self.is_open | self.is_narrow
-        return geodesic(source, self.slowness, passable, self.corners)
+        return geodesic(source, self.slowness, self.is_passable, self.corners)
 
     def lengths_from(self, pose: Pose) -> Float[Array, "H W"]:
-        """Return the cost of the path from a pose (x, y, yaw) to each node [m]."""
-        return self.lengths(self.sources_at(pose[:2]))
+        """Return the cost of the path from a pose (x, y, yaw) to each node [m].
+
+        It may begin at a narrow node.
+        """
+        begin = point_sources(pose[:2], self.frame, self.is_passable, self.corners)
+        return geodesic(begin, self.slowness, self.is_passable, self.corners)
 
     def sources_at(self, point: Position) -> Float[Array, "H W"]:
         """Return the sources (H, W) of paths that end at a point, see `point_sources` [m]."""
         return point_sources(point, self.frame, self.is_open, self.corners)
+
+    @property
+    def is_passable(self) -> Bool[Array, "H W"]:
+        """Mask (H, W) of the nodes through which paths may lead."""
+        return self.is_open if self.is_narrow is None else self.is_open | self.is_narrow
 
     def field(self, source: Float[Array, "H W"], start: Position | None = None) -> GuidanceField:
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes.
@@ -83,7 +90,7 @@ class Roadmap(eqx.Module):
     ) -> tuple[GuidanceField, Scalar]:
         """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
         lengths = self.lengths(source)
-        start = self.sources_at(pose[:2])
+        start = point_sources(pose[:2], self.frame, self.is_passable, self.corners)
         return self._extended(lengths, pose[:2]), (start + lengths).min()
 
     def _extended(self, lengths: Float[Array, "H W"], start: Position | None) -> GuidanceField:
@@ -100,9 +107,8 @@ class Roadmap(eqx.Module):
     def _nearest_passable(self, point: Position) -> Bool[Array, "H W"]:
         """Return the mask of the passable node nearest to a point, if it is in its block or beside
         it."""
-        passable = self.is_open if self.is_narrow is None else self.is_open | self.is_narrow
-        distance = self.frame.distances(point, passable.shape)
-        distance = jnp.where(passable, distance, jnp.inf)
+        distance = self.frame.distances(point, self.is_passable.shape)
+        distance = jnp.where(self.is_passable, distance, jnp.inf)
         return (distance <= distance.min()) & (distance < 1.5 * self.spacing)
 
 
@@ -185,7 +191,8 @@ class TurnsOnTheSpot(Locomotion):
             passable = fit(room, self.narrow)[0]
             is_narrow = passable & ~is_open & ~_beside_bottleneck(passable, fits, stride)
             slowness = jnp.where(is_narrow, frame.resolution * NARROW_PRICE, slowness)
-            corners = _corners_at(is_narrow, fits, stride)
+            if corners is None:
+                corners = _corners_at(is_narrow, fits, stride)
         slowness = slowness if factor is None else slowness * factor
         return Roadmap(frame, slowness, is_open, corners, is_narrow=is_narrow)
 
@@ -228,14 +235,35 @@ def clear_corners(clearance: ScalarField, stride: int) -> Bool[Array, "H W"] | N
     return _block_corners(clearance.values > 0.0, 1) if stride == 1 else None
 
 
+def narrowest(stride: int, resolution: float, *, has_corners: bool = True) -> float:
+    """Return the least clearance at which no path can jump a wall [m].
+
+    It is that of `safe_stride` for a stride s: with R the clearance plus half a cell, two open
+    cells on two sides of a wall are at least `2 sqrt(R^2 - 1/2)` cells apart. Two such cells in
+    adjacent blocks that are `sqrt(2) (2 s - 1)` cells apart have the wall at the corner between
+    the blocks. Where corners are checked, a step needs free cells there, and all others are at most
+    `sqrt((2 s - 1)^2 + (2 s - 2)^2)` cells apart.
+
+    Args:
+        stride: number of cells between nodes.
+        resolution: side of a map cell [m].
+        has_corners: whether paths are checked at the corners of blocks.
+    """
+    across = 2.0 * stride - 1.0
+    apart = math.hypot(across, across - 1.0 if has_corners else across)
+    # The tolerance counts equal lengths as a path that jumps.
+    return resolution * (math.sqrt(0.25 * apart**2 + 0.5) - 0.5 + 1e-3)
+
+
 def _corners_at(
     is_narrow: Bool[Array, "H W"], fits: Bool[Array, "h w"], stride: int
 ) -> Bool[Array, "H W"]:
     """Return the mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`.
 
-    Two blocks at a corner may each have a cell in which the robot fits, and a bottleneck or a wall
-    at the corner between them. So where one of them is narrow, the robot must fit in the two cells
-    of one of the blocks' diagonals at the corner.
+    Two blocks of several cells at a corner may each have a cell in which the robot fits, and a
+    bottleneck or a wall at the corner between them. So where one of them is narrow, the robot must
+    fit in the two cells of one of the blocks' diagonals at the corner. For blocks of one cell that
+    is not enough, as it fits on both sides of a wall that passes between them: `clear_corners`.
     """
     rows, columns = is_narrow.shape
     first, second, third, fourth = _at_corners(fits, stride)

@@ -26,7 +26,7 @@ from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, tu
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.belief.volume_information import renewed_information
 from jaxplore.belief.volume_lattice import NODE, blank_field, volume_lattice
-from jaxplore.belief.volume_roads import VolumeRoads
+from jaxplore.belief.volume_roads import NARROWEST, VolumeRoads
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import clearance_of_volume, renewed_clearance
 from jaxplore.maps.volume_field import VolumeField
@@ -390,7 +390,9 @@ class VolumePerception(eqx.Module):
         # Half-way between the nodes, too, the robot must fit.
         half = belief.room[1:, 1:, 1:][: 2 * shape[0] - 1, : 2 * shape[1] - 1, : 2 * shape[2] - 1]
         tightness = jnp.clip(3.0 - half[::2, ::2, ::2] / self.required, 0.0, 2.0) / 2.0
-        return VolumeRoads(half >= self.required, 1.0 + tightness, origin, spacing)
+        # The tolerance counts a clearance of just that as a path that jumps.
+        least = jnp.maximum(self.required, (NARROWEST + 1e-3) * belief.grid.resolution)
+        return VolumeRoads(half >= least, 1.0 + tightness, origin, spacing)
 
     def blank_field(self, grid: VoxelGrid) -> VolumeField:
         """Return a cost-to-go that is 0 everywhere, on the lattice of a volume's viewpoints."""

@@ -1,6 +1,7 @@
 """Road map of a volume: the lattice of the places at which a robot fits, and the paths on it."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -11,6 +12,13 @@ FAR = 1e4
 """Cost-to-go where no path leads [m]."""
 LAYERS = 4
 """Number of layers of closed nodes into which a field is extended."""
+BEGIN_STEPS = 4
+"""Steps of half the spacing to the nodes at which a path may begin."""
+NARROWEST = 0.5
+"""Clearance above which no path can jump a wall [voxels].
+
+A step leads from a voxel to one of its 26 neighbours at most. Each voxel between the two shares a
+face with one of them: in a wall, it leaves that one a clearance of half a voxel."""
 
 
 class VolumeRoads(eqx.Module):
@@ -45,9 +53,15 @@ class VolumeRoads(eqx.Module):
     def lengths_from(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:
         """Return the cost of the path from a position (x, y, z) to each node [m].
 
-        A path begins at an open node within a spacing of the nearest one.
+        A path begins at an open node within a spacing of the nearest one. Only nodes count to which
+        open points of half the spacing lead from the open one nearest to the position: a node on
+        the other side of a wall may be as near as one on this side.
         """
-        gap = jnp.where(self.is_open, self.distances(position), jnp.inf)
+        away = jnp.where(self.half_open, self._half_distances(position), jnp.inf)
+        is_reached = self.half_open & (away <= away.min())
+        for _ in range(BEGIN_STEPS):
+            is_reached = self.half_open & _dilated(is_reached)
+        gap = jnp.where(is_reached, away, jnp.inf)[::2, ::2, ::2]
         return self.lengths(jnp.where(gap <= gap.min() + self.spacing, gap, jnp.inf))
 
     def field(self, source: Float[Array, "D H W"]) -> VolumeField:
@@ -57,20 +71,42 @@ class VolumeRoads(eqx.Module):
 
     def distances(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:
         """Return the straight distance of each node from a position (x, y, z) [m]."""
-        gap = jnp.stack(self.places) - position[:, None, None, None]
-        return jnp.sqrt(jnp.sum(gap * gap, axis=0))
+        return _distances(self.places, position)
 
     @property
     def places(self) -> tuple[Float[Array, "D H W"], Float[Array, "D H W"], Float[Array, "D H W"]]:
         """Positions x, y and z of the nodes [m]."""
+        return self._places(self.slowness.shape, self.spacing)
+
+    def _half_distances(self, position: Float[Array, "3"]) -> Float[Array, "D2 H2 W2"]:
+        """Return the distance of each point of half the spacing from a position [m]."""
+        return _distances(self._places(self.half_open.shape, 0.5 * self.spacing), position)
+
+    def _places(self, shape: tuple[int, ...], spacing: float) -> tuple[Array, Array, Array]:
+        """Return the positions x, y and z of the points of a lattice from the first node on [m]."""
         z, y, x = jnp.meshgrid(
             *(
-                self.origin[axis] + self.spacing * jnp.arange(size, dtype=jnp.float32)
-                for axis, size in zip((2, 1, 0), self.slowness.shape, strict=True)
+                self.origin[axis] + spacing * jnp.arange(size, dtype=jnp.float32)
+                for axis, size in zip((2, 1, 0), shape, strict=True)
             ),
             indexing="ij",
         )
         return x, y, z
+
+
+def _distances(places: tuple[Array, Array, Array], position: Float[Array, "3"]) -> Array:
+    gap = jnp.stack(places) - position[:, None, None, None]
+    return jnp.sqrt(jnp.sum(gap * gap, axis=0))
+
+
+def _dilated(mask: Bool[Array, "D H W"]) -> Bool[Array, "D H W"]:
+    """Return the points of a mask and their 26 neighbours."""
+    for axis in range(3):
+        edges = [(1, 1) if each == axis else (0, 0) for each in range(3)]
+        wide, size = jnp.pad(mask, edges), mask.shape[axis]
+        parts = [jax.lax.slice_in_dim(wide, begin, begin + size, axis=axis) for begin in range(3)]
+        mask = parts[0] | parts[1] | parts[2]
+    return mask
 
 
 def _extended(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:

@@ -54,7 +54,7 @@ class Softmax(Weighting):
 
     def weights(self, costs: Costs, log_ratio: Costs) -> Weights:
         """Compute the weights (K,)."""
-        return _softmax(costs, self.temperature, self.importance * log_ratio)
+        return _softmax(costs, self.temperature, _tilt(self.importance, log_ratio))
 
 
 class AdaptiveSoftmax(Weighting):
@@ -96,7 +96,7 @@ class AdaptiveSoftmax(Weighting):
     def weights(self, costs: Costs, log_ratio: Costs) -> Weights:
         """Compute the weights (K,)."""
         chosen = self.chosen_temperature(costs, log_ratio)
-        return _softmax(costs, chosen, self.importance * log_ratio)
+        return _softmax(costs, chosen, _tilt(self.importance, log_ratio))
 
     def chosen_temperature(self, costs: Costs, log_ratio: Costs) -> Scalar:
         """Find the temperature at which these costs have the wanted effective sample size, or the
@@ -106,7 +106,7 @@ class AdaptiveSoftmax(Weighting):
         spread = jnp.max(jnp.where(is_finite, costs, -jnp.inf)) - least
         # If all costs are equal or none is finite there is no spread, and any scale will do.
         scale = jnp.log(jnp.where(jnp.isfinite(spread) & (spread > 0.0), spread, 1.0))
-        offset = self.importance * log_ratio
+        offset = _tilt(self.importance, log_ratio)
 
         def excess(logarithm: Scalar) -> Scalar:
             weights = _softmax(costs, jnp.exp(logarithm), offset)
@@ -172,6 +172,13 @@ def effective_sample_size(weights: Weights) -> Scalar:
     """Compute `1 / sum of weights^2`, between 1 and K; 0 if all weights are 0."""
     squares = jnp.sum(weights * weights)
     return jnp.where(squares > 0.0, 1.0 / jnp.where(squares > 0.0, squares, 1.0), 0.0)
+
+
+def _tilt(importance: Scalar, log_ratio: Costs) -> Costs:
+    """Return `importance * log_ratio`, which is 0 for an importance of 0, also if the ratio is not
+    finite: samples count whose likelihood plays no part."""
+    is_left_out = (importance == 0.0) & ~jnp.isfinite(log_ratio)
+    return importance * jnp.where(is_left_out, 0.0, log_ratio)
 
 
 def _softmax(costs: Costs, temperature: Scalar, offset: Costs) -> Weights:

@@ -50,10 +50,14 @@ def optimised(graph: Graph) -> Optimum:
     """Return the poses that minimise the squared errors of all motions and closed loops.
 
         sum over motions of |e|^2 + sum over loops of huber(|e|),
-        e = Sigma^(-1/2) (between(pose_i, pose_j) - measured)
+        e = Sigma^(-1/2) Log(measured^(-1) between(pose_i, pose_j)),
+        Log(x, y, theta) = (V^(-1) (x, y), theta),
+        V = [[sin(theta), cos(theta) - 1], [1 - cos(theta), sin(theta)]] / theta
 
-    The Huber loss bounds the influence of a closed loop that is wrong. The minimum is that of GTSAM
-    by Levenberg and Marquardt's method.
+    The logarithm of SE(2) is taken in the frame of the measured end, to which the covariances are
+    turned. For small errors it is their difference; for a closed loop that is wrong by a radian it
+    is not. The Huber loss bounds the influence of a closed loop that is wrong. The minimum is that
+    of GTSAM by Levenberg and Marquardt's method.
 
     Source: Lu and Milios, "Globally consistent range scan alignment for environment mapping",
     Autonomous Robots 1997; Dellaert and Kaess, "Factor graphs for robot perception", 2017.

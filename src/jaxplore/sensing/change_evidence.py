@@ -11,6 +11,9 @@ from jaxtyping import Array, Bool, Float
 from jaxplore._types import Scalar
 from jaxplore.geometry.rays import RayCells
 
+SHORT = 1e-2
+"""Length of a way through a cell below which its middle stands for all of it [standard
+deviations]."""
 REACH = 4.0
 """A beam that ends more than this many standard deviations before a cell says nothing about it."""
 
@@ -52,15 +55,17 @@ class BeamModel(NamedTuple):
             ranges: measured ranges [m].
             is_return: mask of the beams that returned.
             expected: distance to the first cell that is not free on the map [m]; infinite if none.
-            is_wall: whether that cell is occupied. Behind one that is unknown, all ranges are
-                equally likely.
+            is_wall: whether that cell is occupied. One that is unknown, and all behind it, may hold
+                anything: the density is that of what explains the range best, from a surface at
+                the begin of the cell to nothing at all. So a change in front of it is never
+                claimed for what the cell holds.
         """
         is_met = expected < self.max_range
-        hit = norm.pdf(ranges, jnp.where(is_met, expected, 0.0), self.noise)
-        hit = jnp.where(is_wall, hit, 0.5 * self._beyond(ranges, expected))
+        mean = jnp.where(is_met, expected, 0.0)
+        mean = jnp.where(is_wall, mean, jnp.maximum(mean, ranges))
+        hit = norm.pdf(ranges, mean, self.noise)
         density = jnp.where(is_met, (1.0 - self.outliers) * hit, 0.0) + self.stray
-        none = jnp.where(is_wall, 0.0, 0.5 * (1.0 - self.outliers)) + 0.5 * self.outliers
-        none = jnp.where(is_met, none, 1.0 - 0.5 * self.outliers)
+        none = jnp.where(is_met & is_wall, 0.0, 1.0 - self.outliers) + 0.5 * self.outliers
         return jnp.log(jnp.where(is_return, density, none))
 
     def with_obstacle(
@@ -79,9 +84,16 @@ class BeamModel(NamedTuple):
         # A cell is entered where the one before is left, so each edge is evaluated once.
         edges = jnp.concatenate([entry[:, :1], exit_], axis=1)
         below = erf((ranges[:, None] - edges) / (math.sqrt(2.0) * self.noise))
-        inside = 0.5 * (below[:, :-1] - below[:, 1:])
-        length = jnp.maximum(exit_ - entry, 1e-6)
-        return jnp.log((1.0 - self.outliers) * inside / length + self.stray)
+        # Rounding may give a difference below 0, of which the logarithm is not a number.
+        inside = jnp.maximum(0.5 * (below[:, :-1] - below[:, 1:]), 0.0)
+        length = exit_ - entry
+        # Where a beam cuts a corner, the difference is too small for its rounding.
+        is_short = length < SHORT * self.noise
+        mean = inside / jnp.where(is_short, 1.0, length)
+        within = jnp.where(
+            is_short, norm.pdf(ranges[:, None], 0.5 * (entry + exit_), self.noise), mean
+        )
+        return jnp.log((1.0 - self.outliers) * within + self.stray)
 
     def without_wall(
         self,
