@@ -245,7 +245,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "MPPI": {"noise_std": [1.0, 2.0]},
         "MovingObstacle": {"path": ((1.0, 1.0), (2.0, 1.0)), "speed": 1.0},
         "MovingObstacles": {"movers": [jx.MovingObstacle(((1.0, 1.0), (2.0, 1.0)), 1.0, 0.2)]},
-        "NoiseBank": {"shape": (4, 2, 8)},
+        "NoiseBank": {"size": 64},
         "Obstacles": {"outlines": geometry.Outlines.discs([[1.0, 1.0]], [0.5])},
         "OccupancyGrid": {"probability": np.zeros((4, 4))},
         "Outlines": {"corners": [corners]},

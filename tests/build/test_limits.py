@@ -208,7 +208,7 @@ MEASURED: tuple[tuple[dict[str, Any], float], ...] = (
     ({"map": "office", "office": {"width": 200, "height": 200}}, 1.95),
     ({"map": "office", "lidar": {"max_range": 50}}, 0.77),
     ({"path": "track", "controller": {"num_samples": 100_000}}, 0.62),
-    ({"map": "zones", "informative": {"num_samples": 100_000}}, 3.89),
+    ({"map": "zones", "informative": {"num_samples": 100_000}}, 1.23),
     ({"map": "m4000", "resolution": 0.05}, 3.36),
     ({"map": "m4000", "resolution": 0.1, "time_limit": 3.0}, 2.85),
 )

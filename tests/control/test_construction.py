@@ -109,11 +109,9 @@ def make(robot=ROBOT, cost=COST, **changes) -> MPPI:
         (lambda: CovarianceAdaptation(floor=0.5, ceiling=0.4), "ceiling is 0.4"),
         (
             lambda: make(
-                proposal=GaussianProposal(
-                    [0.5, 0.5], noise=NoiseBank((6, 2, 8), key=jax.random.key(0), num_draws=2)
-                )
+                proposal=GaussianProposal([0.5, 0.5], noise=NoiseBank(8, key=jax.random.key(0)))
             ),
-            "NoiseBank holds draws of shape (6, 2, 8); accepted: (6, 2, 16)",
+            "NoiseBank holds 8 numbers; accepted: at least 16, for 6 x 2 parameters",
         ),
         (
             lambda: make(

@@ -9,7 +9,7 @@ control periods and F frames, in bytes:
     fields      18 N D + 40 (H + 2 R) (W + 2 R)       information by direction, and its margins
     beams       60 B R + 60 D R                       cells that the beams cross
     controller  8 K T nu + 200 K (1 + M)              of each member, among M obstacles or outcomes
-    bank        192 K P nu                            noise of P parameters, of each member
+    bank        128 K                                 stored numbers, of each member
     local       20 (N_f D_f + N_l D_l) + 40 (W_f + W_l)    fields around a quadrotor: nodes,
                                                       directions, cells with margins
     volume      60 D H W + 60 d h w                   the voxels of the world, and those of the map
@@ -61,10 +61,8 @@ _CONTROLS = {
 """Number of controls by the model of the robot."""
 _MOST_CONTROLS = 6
 """Number of controls of a model of the user's own."""
-_KNOTS = 8
-"""Greatest number of parameters of a control with knots."""
-_BANK = 192.0
-"""Memory of a bank of noise by its numbers in a draw: 16 draws, made, stacked and compiled."""
+_BANK = 128.0
+"""Memory of a bank of noise by the samples: 16 numbers for each, and a copy."""
 _MEMBERS = 4
 """Members of a portfolio whose members are not named."""
 
@@ -306,8 +304,7 @@ def _rollouts(
     # The scan over time keeps one step of the states, and all steps of the controls.
     each = 8.0 * samples * given.horizon * controls + 200.0 * samples * (1.0 + hindrances)
     if given.noise == "bank":
-        rows = _KNOTS if given.parameterisation == "knots" else given.horizon
-        each += _BANK * samples * rows * controls
+        each += _BANK * samples
     names = f"{section}.num_samples, {section}.horizon"
     return Part("controller", names if not hindrances else f"{names}, obstacles", members * each)
 

@@ -10,7 +10,6 @@ import jax.scipy.linalg
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._limits import MOST_OUTCOMES
 from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.control.parameterisations import Parameters, Samples
 
@@ -50,6 +49,10 @@ class Noise(eqx.Module):
         """Raise a `ValueError` if noise of this shape cannot be drawn; by default any can."""
 
 
+LEAST_STORED = 2**16
+"""Numbers of a bank for up to 4096 samples."""
+MOST_STORED = 2**28
+"""Most numbers of a bank: 1 GiB."""
 LARGE = 2**20
 """Number of values above which noise is drawn row by row, so that a row fits the CPU's cache."""
 
@@ -150,58 +153,58 @@ class LogNormalNoise(Noise):
 
 
 class NoiseBank(Noise):
-    """Bank of noise that is drawn once and reused in every step.
+    """A ring of standard normal numbers, drawn once, from which each step copies.
 
-    Each step picks one of `num_draws` stored draws at random, and flips the sign of each control's
-    noise at random. Within a step the samples are distributed like `noise`; over the steps the
-    draws recur. With cheap models, drawing noise takes more time than the rollouts; the bank
-    replaces it by a copy.
+        eps[p, u, k] = s[p, u] ring[(o[p, u] + k) mod size]
+
+    The offset `o` and the sign `s` of each parameter and control are drawn anew in every step. So
+    the rows of a step come from other places of the ring each time, and what a sample is in one
+    row has nothing to do with what it is in another. With cheap models, drawing noise takes more
+    time than the rollouts; the bank replaces it by a copy. Commands are as good as with new
+    numbers: whole draws that recur would favour some plans for ever.
+
+    Structured noise is made of it: `ColouredNoise(1.0, NoiseBank(key=key))`.
 
     Args:
-        shape: numbers (P, nu, K) of parameters, controls and samples.
-        key: random key of the stored draws.
-        num_draws: number of stored draws; each takes 4 bytes x P x nu x K.
-        noise: distribution of the stored noise, which must be symmetric; `WhiteNoise()` by default.
+        size: numbers in the ring; each takes 4 bytes. Sixteen times the samples are enough.
+        key: random key of the numbers.
 
     Raises:
-        ValueError: a size < 1; from `check`, another shape than the stored one.
+        ValueError: a size < 1; from `check`, more rows or samples than numbers.
     """
 
-    stored: Float[Array, "D P nu K"]
-    noise: Noise
+    ring: Float[Array, " N"]
 
-    def __init__(
-        self, shape: Shape, *, key: Key, num_draws: int = 16, noise: Noise | None = None
-    ) -> None:
-        _kinds.instance("noise", noise, Noise, may_be_none=True)
+    def __init__(self, size: int = LEAST_STORED, *, key: Key) -> None:
         _kinds.key("key", key)
-        if not isinstance(shape, (list, tuple)) or len(shape) != 3:
-            raise ValueError(f"shape is {_kinds.described(shape)}; accepted: (P, nu, K)")
-        for name, size in zip(("P", "nu", "K"), shape, strict=True):
-            _checks.positive_int(f"{name} of shape", size)
-        self.noise = WhiteNoise() if noise is None else noise
-        keys = jax.random.split(
-            key, _checks.positive_int("num_draws", num_draws, at_most=MOST_OUTCOMES)
-        )
-        self.stored = jnp.stack([self.noise.draw(shape, key=one) for one in keys])
+        count = _checks.positive_int("size", size, at_most=MOST_STORED)
+        numbers = jax.random.normal(key, (count,))
+        # The variance is exactly 1; the random signs see to the mean.
+        self.ring = numbers / jnp.sqrt(jnp.mean(numbers * numbers))
 
     def draw(self, shape: Shape, *, key: Key) -> Samples:
-        """Return a stored draw (P, nu, K) with random signs."""
+        """Return noise of shape (P, nu, K)."""
         self.check(shape)
-        which_key, sign_key = jax.random.split(key)
-        which = jax.random.randint(which_key, (), 0, self.stored.shape[0])
-        # Random signs multiply the number of distinct draws by 2^nu at no cost.
-        signs = jax.random.rademacher(sign_key, (shape[1], 1), jnp.float32)
-        return self.stored[which] * signs
+        rows, size, samples = shape
+        place_key, order_key, sign_key = jax.random.split(key, 3)
+        # A stretch of the ring for each row, in random order, so that no two rows are the same.
+        stretch = self.ring.size // (rows * size)
+        order = jax.random.permutation(order_key, rows * size)
+        offsets = order * stretch + jax.random.randint(place_key, (rows * size,), 0, stretch)
+        around = jnp.concatenate([self.ring, self.ring[:samples]])
+        drawn = jax.vmap(lambda at: jax.lax.dynamic_slice(around, (at,), (samples,)))(offsets)
+        signs = jax.random.rademacher(sign_key, (rows, size, 1), jnp.float32)
+        return drawn.reshape(shape) * signs
 
-    def covariance(self, rows: int) -> Float[Array, "P P"] | None:
-        """Return the covariance of the stored noise."""
-        return self.noise.covariance(rows)
+    def covariance(self, rows: int) -> None:
+        """Return None: all numbers are independent."""
 
     def check(self, shape: Shape) -> None:
-        """Raise a `ValueError` if the stored draws have another shape."""
-        if self.stored.shape[1:] != shape:
+        """Raise a `ValueError` if the ring is too small."""
+        rows, size, samples = shape
+        needed = max(rows * size, samples)
+        if self.ring.size < needed:
             raise ValueError(
-                f"a NoiseBank holds draws of shape {self.stored.shape[1:]}; accepted: {shape}, "
-                "parameters x controls x samples of the controller"
+                f"a NoiseBank holds {self.ring.size} numbers; accepted: at least {needed}, "
+                f"for {rows} x {size} parameters and controls and {samples} samples"
             )

@@ -272,7 +272,7 @@ def mpcc(
         # Checks the standard deviations, which are scaled afterwards.
         given = GaussianProposal(std).noise_std
         assert given is not None
-        drawn = noise_by_name(noise, model, chosen, horizon, num_samples, NOISES)
+        drawn = noise_by_name(noise, num_samples, NOISES)
         return GaussianProposal(factor * given, noise=drawn)
 
     controller = augmented_mppi(

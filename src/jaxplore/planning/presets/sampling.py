@@ -12,7 +12,7 @@ from jaxplore._types import ArrayLike, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.control.coloured_noise import ColouredNoise
 from jaxplore.control.knots import Knots
-from jaxplore.control.noise import Noise, NoiseBank, WhiteNoise
+from jaxplore.control.noise import LEAST_STORED, Noise, NoiseBank, WhiteNoise
 from jaxplore.control.parameterisations import Direct, Parameterisation
 from jaxplore.control.proposals import GaussianProposal
 from jaxplore.control.quasi_random_noise import SobolNoise
@@ -75,7 +75,7 @@ def sampling(
     return Sampling(
         GaussianProposal(
             computed(lambda _, factor, std: factor * std, factor, std),
-            noise=noise_by_name(noise, robot, chosen, horizon, num_samples),
+            noise=noise_by_name(noise, num_samples),
         ),
         chosen,
         weighting_by_name(
@@ -144,12 +144,7 @@ def spread(parameterisation: Parameterisation, horizon: int, dt: ArrayLike) -> S
 
 
 def noise_by_name(
-    given: Noise | str,
-    robot: Dynamics,
-    parameterisation: Parameterisation,
-    horizon: int,
-    num_samples: int,
-    accepted: tuple[str, ...] = NOISES,
+    given: Noise | str, num_samples: int, accepted: tuple[str, ...] = NOISES
 ) -> Noise:
     """Return the noise with a name, or the given noise unchanged.
 
@@ -158,13 +153,10 @@ def noise_by_name(
     | "gaussian" | `WhiteNoise()` |
     | "coloured" | `ColouredNoise(1.0)` |
     | "sobol" | `SobolNoise()` |
-    | "bank" | `NoiseBank` of white noise, the same 16 draws in every controller |
+    | "bank" | `NoiseBank`, the same numbers in every controller |
 
     Args:
         given: a source of noise, or the name of one.
-        robot: model whose controls are sampled.
-        parameterisation: parameterisation of the controls.
-        horizon: model steps ahead, T.
         num_samples: rollouts, K.
         accepted: the names that this controller accepts.
 
@@ -181,11 +173,8 @@ def noise_by_name(
         return ColouredNoise(1.0)
     if given == "sobol":
         return SobolNoise()
-    rows = parameterisation.num_parameters(
-        _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
-    )
     samples = _checks.positive_int("num_samples", num_samples, at_most=MOST_SAMPLES)
-    return NoiseBank((rows, robot.control_size, samples), key=jax.random.key(0))
+    return NoiseBank(max(LEAST_STORED, 16 * samples), key=jax.random.key(0))
 
 
 def weighting_by_name(
