@@ -123,6 +123,7 @@ TOGETHER = [
         *(f"simulation/test_{name}.py" for name in ("batch", "closed_loop", "environment")),
         *(f"simulation/test_{name}.py" for name in ("far_maps", "faults", "live_view", "monitor")),
     ],
+    ["planning/test_architectures.py", "simulation/test_flights.py"],
     [
         *("simulation/test_volume.py", "tests/test_volume_command.py"),
         *("planning/test_volume_informative.py", "planning/test_volume_targets.py"),

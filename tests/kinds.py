@@ -1,11 +1,14 @@
 """A small closed loop of each kind of task: the files that use them share its compiled programs."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 
 import jaxplore as jx
 from jaxplore.control.fleet_controller import FleetController, same_for_all
+from jaxplore.planning import InformativeMPPI
+from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.path_following import PathFollowing
 from jaxplore.simulation.fleet.scenario import Fleet
 
@@ -36,6 +39,42 @@ def volume(
 def volume_controller() -> jx.control.Controller:
     """Return its controller."""
     return jx.volume_explorer(QUADROTOR, horizon=20, num_samples=128)
+
+
+# A flight: a quadrotor among zones, with each architecture of informative MPPI.
+
+ZONES = dataclasses.replace(jx.three_zones(), resolution=0.2)
+FLIGHT = Flight(horizon=10, num_samples=64, noise_std=(2.0, 1.0, 1.0, 1.0))
+FIELDS = FieldNumbers(
+    field_beams=4,
+    field_range=3.0,
+    field_noise=0.0,
+    field_spacing=0.8,
+    field_extent=3.2,
+    local_beams=4,
+    local_range=1.5,
+)
+SIGHT = jx.InverseSensorModel.line_of_sight()
+SCANNER = jx.Lidar(36, 3.0, range_noise=0.0)
+
+
+def flight_scenario(faults: jx.Faults | None = None) -> jx.ExplorationScenario:
+    """Return the exploration of the zones, with or without a fault: they are one program."""
+    world, goal = ZONES.truth(), ZONES.goal[:2]
+    perception = jx.Perception(SCANNER, 0.2, 0.3, sensor_model=SIGHT, num_directions=8, goal=goal)
+    return jx.ExplorationScenario(
+        world, QUADROTOR, SCANNER, ZONES.start, perception=perception, prior=ZONES.prior(),
+        goal=goal, altitude=-2.0, control_rate=20.0, sensing_rate=10.0, field_rate=5.0,
+        faults=jx.Faults(walls=np.zeros(world.shape, bool)) if faults is None else faults,
+    )  # fmt: skip
+
+
+def flight_controller(
+    architecture: str, flight: Flight = FLIGHT, **changes: Any
+) -> InformativeMPPI:
+    """Return the controller of an architecture."""
+    given = {"goal": ZONES.goal, "sensor_model": SIGHT, "fields": FIELDS, **changes}
+    return jx.informative_mppi(QUADROTOR, architecture, resolution=0.2, flight=flight, **given)
 
 
 # A path: a car on a closed ring, past two discs.

@@ -2,7 +2,7 @@
 they explore."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,18 +10,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
+from tests.kinds import (
+    FIELDS,
+    FLIGHT,
+    QUADROTOR,
+    SCANNER,
+    SIGHT,
+    ZONES,
+    flight_controller,
+    flight_scenario,
+)
 
 from jaxplore import (
     Ackermann,
     ExplorationScenario,
-    InverseSensorModel,
     KinematicBicycle,
     Lidar,
     OccupancyGrid,
     Perception,
     Quadrotor,
     informative_mppi,
-    three_zones,
 )
 from jaxplore.belief import unknown_fraction
 from jaxplore.belief.belief import StrategicBelief
@@ -31,7 +39,7 @@ from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.dynamics.base import State
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.planning import InformativeMPPI, ReferenceStart
-from jaxplore.planning.presets.flight import FieldNumbers, Flight
+from jaxplore.planning.presets.flight import Flight
 from jaxplore.planning.presets.quadrotor import ARCHITECTURES, zone_choice
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
@@ -39,51 +47,18 @@ from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 pytestmark = pytest.mark.long
 
 CHUNK, PERIOD = 50, 0.05
-WORLD = dataclasses.replace(three_zones(), resolution=0.2)
-ROBOT = Quadrotor()
-MODEL = InverseSensorModel.line_of_sight()
-LIDAR = Lidar(36, 3.0, range_noise=0.0)
-FLIGHT = Flight(horizon=10, num_samples=64, noise_std=(2.0, 1.0, 1.0, 1.0))
-FIELDS = FieldNumbers(
-    field_beams=4,
-    field_range=3.0,
-    field_noise=0.0,
-    field_spacing=0.8,
-    field_extent=3.2,
-    local_beams=4,
-    local_range=1.5,
-)
-RATES = {"control_rate": 20.0, "sensing_rate": 10.0, "field_rate": 5.0}
 every = pytest.mark.parametrize("architecture", ARCHITECTURES)
-
-
-def controller_of(architecture: str, flight: Flight = FLIGHT, **changes: Any) -> InformativeMPPI:
-    given = {"goal": WORLD.goal, "sensor_model": MODEL, "fields": FIELDS, **changes}
-    return informative_mppi(ROBOT, architecture, resolution=0.2, flight=flight, **given)
 
 
 @pytest.fixture(scope="module")
 def scenario() -> ExplorationScenario:
-    perception = Perception(
-        LIDAR, 0.2, 0.3, sensor_model=MODEL, num_directions=8, goal=WORLD.goal[:2]
-    )
-    return ExplorationScenario(
-        WORLD.truth(),
-        ROBOT,
-        LIDAR,
-        WORLD.start,
-        perception=perception,
-        prior=WORLD.prior(),
-        goal=WORLD.goal[:2],
-        altitude=-2.0,
-        **RATES,
-    )
+    return flight_scenario()
 
 
 @pytest.fixture(scope="module")
 def controllers(scenario) -> dict[str, InformativeMPPI]:
     period = scenario.control_period
-    return {name: controller_of(name).at_period(period) for name in ARCHITECTURES}
+    return {name: flight_controller(name).at_period(period) for name in ARCHITECTURES}
 
 
 def run(
@@ -126,7 +101,7 @@ def far_field(sensor, grid, position) -> HeadingField:
 
 @eqx.filter_jit
 def near_field(field, belief, position) -> HeadingField:
-    return field(belief, MODEL, position)
+    return field(belief, SIGHT, position)
 
 
 @eqx.filter_jit
@@ -136,7 +111,7 @@ def climb(reference, belief, potential, start):
 
 @eqx.filter_jit
 def follow(follower, state, wanted, dt):
-    return follower(ROBOT, state, wanted, dt)
+    return follower(QUADROTOR, state, wanted, dt)
 
 
 @eqx.filter_jit
@@ -214,7 +189,7 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
     """Step by step from the same state: what rounding does to a run would grow. Of two-layer: the
     parts of parallel are among its own."""
     controller, perception = hot(controllers["two-layer"]), scenario.perception
-    world, period, key = WORLD.truth(), jnp.asarray(PERIOD), jax.random.key(3)
+    world, period, key = ZONES.truth(), jnp.asarray(PERIOD), jax.random.key(3)
     after, robots = initial_loop_state(controller, scenario), []
     for step in range(CHUNK):
         before = after
@@ -226,7 +201,7 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
         belief, state = before.task.belief, before.task.robot
         pose = pose_of(state)
         if step % 2 == 0:
-            seen = scan(LIDAR, world, pose, key=scan_key)
+            seen = scan(SCANNER, world, pose, key=scan_key)
             belief = observe(perception, belief, seen, pose)
         if step % 4 == 3 or step == 0:
             belief = update_fields(perception, belief, pose, 4.0 * period)
@@ -244,7 +219,7 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
         same(records.control[0], control)
         same(records.effective_sample_size[0], info.effective_sample_size, rtol=1e-3)
         same(after.controller.mppi.nominal, memory.nominal)
-        same(after.task.robot, move(ROBOT, state, control, period))
+        same(after.task.robot, move(QUADROTOR, state, control, period))
         assert not records.is_collision[0]
         assert float(records.unknown_map[0]) == pytest.approx(float(unknown_fraction(belief.grid)))
         robots.append(np.asarray(after.task.robot))
@@ -260,7 +235,7 @@ def test_explores_three_zones_without_touching(architecture: str, controllers, s
     assert not records.is_collision.any()
     assert records.is_finite.all()
     assert np.isfinite(records.state).all()
-    low, high = ROBOT.control_min, ROBOT.control_max
+    low, high = QUADROTOR.control_min, QUADROTOR.control_max
     assert ((records.control >= low) & (records.control <= high)).all()
 
 
@@ -303,27 +278,27 @@ def test_no_number_retraces(architecture: str, controllers, scenario) -> None:
         control_weight=0.1,
     )
     fields = FIELDS._replace(field_period=0.4)
-    other = controller_of(architecture, flight, fields=fields, **NUMBERS).at_period(PERIOD)
+    other = flight_controller(architecture, flight, fields=fields, **NUMBERS).at_period(PERIOD)
     second, _, _ = run_chunk((other, scenario, key, one), copied(start), CHUNK)
     assert run_chunk._cached._cache_size() == compiled
     assert not np.array_equal(first.task.robot, second.task.robot)
 
 
 def test_by_heading_rewards_facing_the_unknown(scenario, controllers) -> None:
-    controller = controller_of("parallel", by_heading=True)
+    controller = flight_controller("parallel", by_heading=True)
     (term,) = (term for name, term in controller.mppi.cost.terms() if name == "PotentialCost")
     (blind,) = (
         term for name, term in controllers["parallel"].mppi.cost.terms() if name == "PotentialCost"
     )
     belief = initial_loop_state(controller, scenario).task.belief
     # Half a metre below a zone that begins at y = 4.
-    place = ROBOT.at_pose(2.5, 3.2, 0.0)
+    place = QUADROTOR.at_pose(2.5, 3.2, 0.0)
     strategy = strategy_by_parts(controller, belief, place)
     known = known_by_parts(controller, belief, place, strategy, 0.0)
 
     def stage(cost, yaw: float) -> float:
-        state = State(ROBOT.at_pose(2.5, 3.2, yaw), ROBOT)
-        return float(cost.stage(state, ROBOT.default_control, jnp.zeros(()), known))
+        state = State(QUADROTOR.at_pose(2.5, 3.2, yaw), QUADROTOR)
+        return float(cost.stage(state, QUADROTOR.default_control, jnp.zeros(()), known))
 
     facing, away = stage(term, 0.5 * np.pi), stage(term, -0.5 * np.pi)
     assert facing < away - 1.0
@@ -333,9 +308,9 @@ def test_by_heading_rewards_facing_the_unknown(scenario, controllers) -> None:
 
 
 def test_parallel_refuses_a_reference_that_it_would_not_follow() -> None:
-    reference = controller_of("two-layer").reference
+    reference = flight_controller("two-layer").reference
     with pytest.raises(ValueError, match="reference is given for the parallel architecture"):
-        controller_of("parallel", reference=reference)
+        flight_controller("parallel", reference=reference)
 
 
 def test_what_the_architectures_differ_in(controllers) -> None:
@@ -365,10 +340,10 @@ CARS = {
     "bicycle": KinematicBicycle(max_speed=1.0, min_speed=-0.5),
 }
 CAR_PERCEPTION = Perception(
-    LIDAR,
+    SCANNER,
     0.2,
     0.25,
-    sensor_model=MODEL,
+    sensor_model=SIGHT,
     num_directions=8,
     car=car_motion(CARS["ackermann"]),
 )
@@ -389,13 +364,13 @@ def known_hall():
 
 def car_controller(architecture: str, name: str) -> InformativeMPPI:
     zones = Zones.from_rectangles([(5.6, 0.2, 7.8, 3.8)], hall())
-    choice = zone_choice(zones, (1.0, 1.0), CAR_PERCEPTION, LIDAR)
+    choice = zone_choice(zones, (1.0, 1.0), CAR_PERCEPTION, SCANNER)
     return informative_mppi(
         CARS[name],
         "parallel" if architecture == "parallel" else "two-layer",
         target_choice=choice if architecture == "sequential" else None,
         resolution=0.2,
-        sensor_model=MODEL,
+        sensor_model=SIGHT,
         flight=Flight(horizon=10, num_samples=16, max_speed=1.0),
         fields=FIELDS,
     )
