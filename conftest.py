@@ -124,6 +124,7 @@ TOGETHER = [
         *(f"simulation/test_{name}.py" for name in ("far_maps", "faults", "live_view", "monitor")),
     ],
     ["planning/test_architectures.py", "simulation/test_flights.py"],
+    [f"onboard/test_{name}.py" for name in ("following", "localisation", "pilot")],
     [
         *("simulation/test_volume.py", "tests/test_volume_command.py"),
         *("planning/test_volume_informative.py", "planning/test_volume_targets.py"),

@@ -1,12 +1,16 @@
 """A small closed loop of each kind of task: the files that use them share its compiled programs."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxplore as jx
+from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.fleet_controller import FleetController, same_for_all
+from jaxplore.control.trajectory import Trajectory
 from jaxplore.planning import InformativeMPPI
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.path_following import PathFollowing
@@ -75,6 +79,102 @@ def flight_controller(
     """Return the controller of an architecture."""
     given = {"goal": ZONES.goal, "sensor_model": SIGHT, "fields": FIELDS, **changes}
     return jx.informative_mppi(QUADROTOR, architecture, resolution=0.2, flight=flight, **given)
+
+
+# A hall: a robot whose commands are known beforehand, to see what happens to it.
+
+HALL = np.full((30, 40), 0.01, np.float32)
+HALL[0], HALL[-1], HALL[:, 0], HALL[:, -1] = 0.99, 0.99, 0.99, 0.99
+WALKER, SHORT_LIDAR = jx.DifferentialDrive(max_speed=1.0), jx.Lidar(72, 1.0, range_noise=0.0)
+HALL_GOAL, HALL_CHUNK = (2.5, 1.5), 10
+"""The chunk is that of `record_run`, so that nothing is compiled twice."""
+NO_WALLS = jx.Faults(walls=np.zeros(HALL.shape, bool))
+
+
+class Script(Controller):
+    """Gives its commands (N, nu) one after the other and remembers what it was told."""
+
+    commands: jax.Array
+
+    def init(self) -> Any:
+        return jnp.zeros((), jnp.int32), jnp.zeros((len(self.commands), 5))
+
+    def step(self, state: Any, observation: Any, belief: Any = None, *, key: Any) -> Any:
+        count, told = state
+        one = jnp.ones(())
+        command = self.commands[count]
+        info = Info(command[None], one[None], one[None], one, jnp.array(True))
+        return command, (count + 1, told.at[count].set(observation)), info
+
+    def inspect(
+        self,
+        state: Any,
+        observation: Any,
+        belief: Any = None,
+        *,
+        key: Any,
+        num_trajectories: int = 50,
+    ) -> SampledPlan:
+        alone = Trajectory(jnp.stack([observation] * 2), self.commands[:1], {})
+        return SampledPlan(alone, alone, alone.states[None], jnp.ones(1))
+
+    def at_period(self, control_period: Any) -> "Script":
+        return self
+
+
+FORWARD = np.tile(np.float32([1.0, 0.0]), (60, 1))
+AHEAD = Script(jnp.asarray(FORWARD))
+
+
+def hall(
+    prior: np.ndarray | None = HALL,
+    world: np.ndarray = HALL,
+    *,
+    goal: tuple[float, float] | None = HALL_GOAL,
+    start: tuple[float, float, float] = (0.6, 1.5, 0.0),
+    lidar: jx.Lidar = SHORT_LIDAR,
+    faults: jx.Faults | None = NO_WALLS,
+    **arguments: Any,
+) -> jx.ExplorationScenario:
+    """Return a robot at 20 Hz in a hall of 4 m x 3 m; one compiled loop for all with a goal."""
+    perception = jx.Perception(lidar, 0.1, 0.2, sensor_model=SIGHT, num_directions=4, goal=goal)
+    return jx.ExplorationScenario(
+        jx.OccupancyGrid(world, 0.1), WALKER, lidar, start, perception=perception,
+        prior=None if prior is None else jx.OccupancyGrid(prior, 0.1), goal=goal,
+        control_rate=20.0, sensing_rate=10.0, field_rate=5.0, faults=faults, **arguments,
+    )  # fmt: skip
+
+
+# A yard: the smallest task, for what the loop does in all.
+
+
+class Place(NamedTuple):
+    robot: jax.Array
+
+
+class Yard(jx.Scenario):
+    """A free yard; the state of the task is that of the robot."""
+
+    robot: jx.Dynamics
+    start: jax.Array = dataclasses.field(default_factory=lambda: jnp.zeros(5))
+    control_period: jax.Array = dataclasses.field(default_factory=lambda: jnp.asarray(0.05))
+    faults: jx.Faults | None = None
+
+    def init(self, key):
+        return Place(self.start), None
+
+    def perceive(self, state, moment, key):
+        return state, None
+
+    def advance(self, state, control, moment, info):
+        after = self.robot.step(state.robot, control, self.control_period)
+        return state._replace(robot=after), (after, moment.observed)
+
+    def is_unfinished(self, state):
+        return jnp.array(True)
+
+    def recording(self, controller, before, run):
+        raise NotImplementedError
 
 
 # A path: a car on a closed ring, past two discs.

@@ -8,19 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.kinds import AHEAD, HALL, HALL_CHUNK, HALL_GOAL, WALKER, Script, hall
 
-from jaxplore import (
-    DifferentialDrive,
-    ExplorationScenario,
-    InverseSensorModel,
-    Lidar,
-    OccupancyGrid,
-    Perception,
-)
+from jaxplore import DifferentialDrive, ExplorationScenario, OccupancyGrid
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.gain import Gain
-from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
@@ -265,7 +257,7 @@ def test_only_the_same_unfinished_run_can_be_resumed(make, other_world) -> None:
 def test_frames_are_dense_at_first_and_thinned_out_evenly() -> None:
     """A film of five seconds has 60 frames, one of minutes not more than 120."""
     for num_steps, interval in ((150, 2), (350, 4)):
-        scenario = hall_scenario(target_coverage=None, max_unknown=0.0)
+        scenario = hall(target_coverage=None, max_unknown=0.0)
         recording = record_run(AHEAD, scenario, num_steps, key=jax.random.key(0))
         steps = [frame.step for frame in recording.frames]
         assert 60 <= len(steps) <= 121
@@ -289,65 +281,11 @@ def test_num_steps_must_be_positive(make) -> None:
         record_run(*make(), 0, key=jax.random.key(0))
 
 
-class Forward(Controller):
-    """Goes ahead, come what may."""
-
-    command: jax.Array
-
-    def init(self):
-        return ()
-
-    def step(self, state, observation, belief=None, *, key):
-        one = jnp.ones(())
-        info = Info(self.command[None], one[None], one[None], one, jnp.array(True))
-        return self.command, state, info
-
-    def inspect(self, state, observation, belief=None, *, key, num_trajectories=50):
-        alone = Trajectory(jnp.stack([observation] * 2), self.command[None], {})
-        return SampledPlan(alone, alone, alone.states[None], jnp.ones(1))
-
-    def at_period(self, control_period):
-        return self
-
-
-HALL = np.full((30, 40), 0.01, np.float32)
-HALL[0], HALL[-1], HALL[:, 0], HALL[:, -1] = 0.99, 0.99, 0.99, 0.99
-ROBOT, SHORT_LIDAR = DifferentialDrive(max_speed=1.0), Lidar(72, 1.0, range_noise=0.0)
-AHEAD, GOAL, SHORT_CHUNK = Forward(jnp.asarray([1.0, 0.0])), (2.5, 1.5), 10
-
-
-def hall_scenario(
-    prior: np.ndarray | None = HALL, world: np.ndarray = HALL, *, goal=GOAL, x=0.6, **arguments
-) -> ExplorationScenario:
-    """A robot at 20 Hz in a hall of 4 m x 3 m; one compiled loop for all that have a goal."""
-    perception = Perception(
-        SHORT_LIDAR,
-        0.1,
-        0.2,
-        sensor_model=InverseSensorModel.line_of_sight(),
-        num_directions=4,
-        goal=goal,
-    )
-    return ExplorationScenario(
-        OccupancyGrid(world, 0.1),
-        ROBOT,
-        SHORT_LIDAR,
-        (x, 1.5, 0.0),
-        perception=perception,
-        prior=None if prior is None else OccupancyGrid(prior, 0.1),
-        goal=goal,
-        control_rate=20.0,
-        sensing_rate=10.0,
-        field_rate=5.0,
-        **arguments,
-    )
-
-
 def drive(scenario: ExplorationScenario, steps: int = 60):
     return record_run(AHEAD, scenario, steps, key=jax.random.key(0))
 
 
-class Closed(Forward):
+class Closed(Script):
     """Nobody can look into it."""
 
     def inspect(self, state, observation, belief=None, *, key, num_trajectories=50):
@@ -355,9 +293,9 @@ class Closed(Forward):
 
 
 def test_a_run_without_rollouts_is_the_same_and_does_not_look_into_the_controller() -> None:
-    scenario, key = hall_scenario(), jax.random.key(0)
+    scenario, key = hall(), jax.random.key(0)
     seen = record_run(AHEAD, scenario, 20, key=key)
-    unseen = record_run(Closed(AHEAD.command), scenario, 20, key=key, num_trajectories=0)
+    unseen = record_run(Closed(AHEAD.commands), scenario, 20, key=key, num_trajectories=0)
     np.testing.assert_array_equal(seen.records.state, unseen.records.state)
     for with_plan, without in zip(seen.frames, unseen.frames, strict=True):
         np.testing.assert_array_equal(with_plan.information, without.information)
@@ -377,10 +315,10 @@ def test_a_run_without_rollouts_is_the_same_and_does_not_look_into_the_controlle
 @pytest.mark.parametrize("is_known", [False, True])
 @pytest.mark.parametrize("is_covered", [False, True])
 def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> None:
-    scenario = hall_scenario(goal_radius=0.5, max_unknown=0.25, target_coverage=0.75)
+    scenario = hall(goal_radius=0.5, max_unknown=0.25, target_coverage=0.75)
     # Half a metre away is not within half a metre, a quarter is not less than a quarter; the target
     # coverage itself is enough.
-    robot = ROBOT.at_pose(2.0 + (0.01 if is_there else 0.0), 1.5, 0.0)
+    robot = WALKER.at_pose(2.0 + (0.01 if is_there else 0.0), 1.5, 0.0)
     nothing = jnp.zeros(())
     progress = MapProgress(
         coverage=jnp.asarray(0.75 if is_covered else 0.74),
@@ -396,13 +334,13 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
     )
     found = bool(scenario.is_finished(state))
     assert found == (is_there and (is_known or is_covered))
-    aimless = hall_scenario(goal=None, target_coverage=0.75)
+    aimless = hall(goal=None, target_coverage=0.75)
     assert bool(aimless.is_finished(state)) == is_covered
 
 
 def test_the_prior_is_what_is_known_at_first() -> None:
     prior = np.random.default_rng(0).uniform(0.0, 1.0, HALL.shape).astype(np.float32)
-    scenario = hall_scenario(prior, HALL)
+    scenario = hall(prior, HALL)
     state = initial_loop_state(AHEAD, scenario)
     belief = np.asarray(state.task.belief.grid.unpadded().probability)
     rows, columns = np.mgrid[:30, :40]
@@ -433,14 +371,14 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
     world = HALL.copy()
     world[1:-1, 28:30] = 0.99  # x from 2.8 to 3 m
     # It passes by its goal.
-    scenario = hall_scenario(HALL, world, goal=(1.55, 2.45), goal_radius=0.1)
+    scenario = hall(HALL, world, goal=(1.55, 2.45), goal_radius=0.1)
     state, key = initial_loop_state(AHEAD, scenario), jax.random.key(0)
     known = np.asarray(state.task.belief.grid.unpadded().probability)
     np.testing.assert_allclose(known, HALL, rtol=1e-6)
     collisions = 0
     for _ in range(80):
         reach = float(state.task.robot[0]) + 1.0
-        state, records, _ = run_chunk((AHEAD, scenario, key, ONE), copied(state), SHORT_CHUNK)
+        state, records, _ = run_chunk((AHEAD, scenario, key, ONE), copied(state), HALL_CHUNK)
         known = np.asarray(state.task.belief.grid.unpadded().probability)
         assert reach > 2.8 or (known[:, 28:30] == HALL[:, 28:30]).all()
         assert float(state.task.robot[0]) <= 2.8 - 0.2 + 1e-4
@@ -452,43 +390,41 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
 
 
 def test_a_known_hall_ends_where_the_goal_begins_and_hovering_is_extra() -> None:
-    recording = drive(hall_scenario(goal_radius=0.3))
-    distance = np.hypot(*(recording.positions[1:] - np.float32(GOAL)).T)
+    recording = drive(hall(goal_radius=0.3))
+    distance = np.hypot(*(recording.positions[1:] - np.float32(HALL_GOAL)).T)
     last = int(np.argmax(distance < 0.3))
     assert 10 < last < 59
     assert recording.num_steps == recording.finished_step == last + 1
     assert recording.initial_unknown == 0.0
-    np.testing.assert_allclose(recording.goal, GOAL)
-    hovering = drive(hall_scenario(goal_radius=0.3, hover_time=0.7))
+    np.testing.assert_allclose(recording.goal, HALL_GOAL)
+    hovering = drive(hall(goal_radius=0.3, hover_time=0.7))
     assert hovering.num_steps == last + 1 + 14
     assert hovering.finished_step == last + 1
     np.testing.assert_array_equal(hovering.records.state[: last + 1], recording.records.state)
     # A run that is cut off while it hovers was finished all the same.
-    cut = drive(hall_scenario(goal_radius=0.3, hover_time=0.7), last + 1 + 5)
+    cut = drive(hall(goal_radius=0.3, hover_time=0.7), last + 1 + 5)
     assert (cut.num_steps, cut.finished_step) == (last + 1 + 5, last + 1)
-    short = drive(hall_scenario(goal_radius=0.3), last)
+    short = drive(hall(goal_radius=0.3), last)
     assert (short.num_steps, short.finished_step) == (last, None)
 
 
 def test_the_end_waits_for_the_map_and_the_map_for_the_goal() -> None:
-    passing = drive(hall_scenario(None, max_unknown=0.0, target_coverage=1.0))
+    passing = drive(hall(None, max_unknown=0.0, target_coverage=1.0))
     unknown = passing.records.unknown_map
-    distance = np.hypot(*(passing.positions[1:] - np.float32(GOAL)).T)
+    distance = np.hypot(*(passing.positions[1:] - np.float32(HALL_GOAL)).T)
     assert (distance < 1.5).any()
     assert (passing.num_steps, passing.finished_step) == (60, None)
     assert passing.initial_unknown > 0.9
     for most, radius in ((0.7, 1.5), (0.6, 1.5), (0.6, 0.6), (0.95, 1.0)):
         is_over = (distance < radius) & (unknown < most)
         expected = int(np.argmax(is_over)) + 1 if is_over.any() else None
-        found = drive(
-            hall_scenario(None, max_unknown=most, goal_radius=radius, target_coverage=1.0)
-        )
+        found = drive(hall(None, max_unknown=most, goal_radius=radius, target_coverage=1.0))
         assert found.finished_step == expected
         assert found.num_steps == (60 if expected is None else expected)
 
 
 def test_at_the_goal_with_all_known_one_step_is_the_run() -> None:
-    recording = drive(hall_scenario(x=2.5))
+    recording = drive(hall(start=(2.5, 1.5, 0.0)))
     assert (recording.num_steps, recording.finished_step) == (1, 1)
 
 
@@ -524,10 +460,10 @@ def test_an_exploration_that_learns_nothing_is_given_up_and_says_what_is_left(ma
     np.testing.assert_array_equal(longer.records.state[:expected], recording.records.state)
 
 
-@pytest.mark.parametrize("kept", [{"goal": GOAL}, {"target_coverage": None, "goal": None}])
+@pytest.mark.parametrize("kept", [{"goal": HALL_GOAL}, {"target_coverage": None, "goal": None}])
 def test_only_an_exploration_that_coverage_ends_is_given_up(kept) -> None:
-    scenario = hall_scenario(give_up_after=0.6, **kept)
-    state = initial_loop_state(AHEAD, scenario).task
+    state = initial_loop_state(AHEAD, hall()).task
+    scenario = hall(give_up_after=0.6, **kept)
     state = state._replace(gain=state.gain._replace(since=jnp.asarray(1e6)))
     assert not bool(scenario.is_given_up(state))
 

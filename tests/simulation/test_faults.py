@@ -8,18 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests import kinds
+from tests.kinds import FORWARD, HALL, NO_WALLS, Script, Yard, hall
 
-from jaxplore import (
-    DifferentialDrive,
-    ExplorationScenario,
-    Faults,
-    InverseSensorModel,
-    Lidar,
-    OccupancyGrid,
-    Perception,
-)
-from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.trajectory import Trajectory
+from jaxplore import ExplorationScenario, Faults, Lidar
+from jaxplore.control.base import Controller
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
@@ -27,39 +20,12 @@ from jaxplore.simulation.state import LoopState
 
 pytestmark = pytest.mark.long
 
-PERIOD, CHUNK = 0.05, 10  # the chunk is record_run's own, so that nothing is compiled twice
-WORLD = np.zeros((30, 40), np.float32)
-WORLD[0], WORLD[-1], WORLD[:, 0], WORLD[:, -1] = 1.0, 1.0, 1.0, 1.0
-ROBOT = DifferentialDrive(max_speed=1.0)
-LIDAR = Lidar(72, 1.0, range_noise=0.0)
-SENSOR = InverseSensorModel.line_of_sight()
+PERIOD, CHUNK = 0.05, kinds.HALL_CHUNK
+WORLD, ROBOT = HALL, kinds.WALKER
+UNKNOWN = np.full(HALL.shape, 0.5, np.float32)
 RATES = {"control_rate": 20.0, "sensing_rate": 10.0, "field_rate": 5.0}
-FORWARD = np.tile(np.float32([1.0, 0.0]), (60, 1))
 BARRIER = np.zeros(WORLD.shape, bool)
 BARRIER[1:-1, 22:24] = True  # x from 2.2 to 2.4 m
-
-
-class Script(Controller):
-    """Gives its commands (N, nu) one after the other and remembers what it was told."""
-
-    commands: jax.Array
-
-    def init(self):
-        return jnp.zeros((), jnp.int32), jnp.zeros((len(self.commands), 5))
-
-    def step(self, state, observation, belief=None, *, key):
-        count, told = state
-        one = jnp.ones(())
-        command = self.commands[count]
-        info = Info(command[None], one[None], one[None], one, jnp.array(True))
-        return command, (count + 1, told.at[count].set(observation)), info
-
-    def inspect(self, state, observation, belief=None, *, key, num_trajectories=50):
-        alone = Trajectory(jnp.stack([observation] * 2), self.commands[:1], {})
-        return SampledPlan(alone, alone, alone.states[None], jnp.ones(1))
-
-    def at_period(self, control_period):
-        return self
 
 
 class Run(NamedTuple):
@@ -78,20 +44,14 @@ class Run(NamedTuple):
         return np.stack([state.task.belief.grid.unpadded().probability for state in self.states])
 
 
-def make(
-    faults: Faults | None, x: float = 0.6, yaw: float = 0.0, lidar: Lidar = LIDAR
-) -> ExplorationScenario:
-    perception = Perception(lidar, 0.1, 0.2, sensor_model=SENSOR, num_directions=4)
-    return ExplorationScenario(
-        OccupancyGrid(WORLD, 0.1),
-        ROBOT,
-        lidar,
-        (x, 1.5, yaw),
-        perception=perception,
-        target_coverage=1.0,
-        faults=faults,
-        **RATES,
-    )
+def make(faults: Faults | None = NO_WALLS, x: float = 0.6, **more) -> ExplorationScenario:
+    """Return a hall of which nothing is known, and that is never finished."""
+    if faults is not None and faults.walls is None:
+        faults = eqx.tree_at(
+            lambda each: each.walls, faults, NO_WALLS.walls, is_leaf=lambda leaf: leaf is None
+        )
+    ends = {"target_coverage": 1.0, "max_unknown": 0.0}
+    return hall(UNKNOWN, faults=faults, start=(x, 1.5, 0.0), **ends, **more)
 
 
 def run(
@@ -135,7 +95,7 @@ def small_experiment(request):
 
 @pytest.fixture(scope="module")
 def flawless() -> Run:
-    return run(make(Faults()))
+    return run(make())
 
 
 def test_no_faults_are_the_same_as_none_to_the_bit(flawless) -> None:
@@ -226,7 +186,7 @@ def test_odometry_that_is_lost_while_it_is_frozen_comes_back_frozen() -> None:
 def test_a_map_made_with_frozen_odometry_is_out_of_place() -> None:
     """The robot closes in on the wall at x = 3.9 while it takes itself to be farther away."""
     frozen = run(make(Faults(frozen_odometry=(1.5, 2.0)), x=2.0))
-    good = run(make(Faults(), x=2.0))
+    good = run(make(x=2.0))
     behind, gone = frozen.told[30][0], frozen.robots[38][0]  # the last scan of the fault
     ghosts = (frozen.maps[40] > 0.65) & (WORLD < 0.5)
     assert not ((good.maps[40] > 0.65) & (WORLD < 0.5)).any()
@@ -234,29 +194,43 @@ def test_a_map_made_with_frozen_odometry_is_out_of_place() -> None:
     assert 0.1 * straight.min() == pytest.approx(3.9 - (gone - behind), abs=0.11)
 
 
-def test_commands_come_late_and_in_order() -> None:
-    commands = wandering(0)
-    delayed = run(make(Faults(control_delay=3, walls=np.zeros_like(BARRIER))), commands)
-    np.testing.assert_array_equal(delayed.records.control[:3], 0.0)
-    np.testing.assert_array_equal(delayed.records.control[3:], commands[:-3])
+@pytest.fixture(scope="module")
+def late():
+    """Return commands, and a run in a yard with them, three periods late."""
+    commands, yard = wandering(0), Yard(ROBOT, faults=Faults(control_delay=3))
+    controller, key = Script(jnp.asarray(commands)), jax.random.key(0)
+    begin = initial_loop_state(controller, yard)
+    count = jnp.asarray(60, jnp.int32)
+    state, (robots, told), _ = run_chunk((controller, yard, key, count), copied(begin), 60)
+    return commands, begin, state, np.asarray(robots), np.asarray(told)
+
+
+def test_commands_come_late_and_in_order(late) -> None:
+    commands, begin, state, robots, told = late
+    np.testing.assert_array_equal(begin.pending, np.zeros((3, 2)))
+    before = np.concatenate([begin.task.robot[None], robots[:-1]])
+    controls = np.concatenate([np.zeros((3, 2), np.float32), commands[:-3]])
+    step = jax.jit(jax.vmap(ROBOT.step, in_axes=(0, 0, None)))
+    np.testing.assert_allclose(robots, step(before, controls, jnp.asarray(PERIOD)), atol=1e-6)
     # They are under way all the while, and nothing is lost of what the controller is told.
-    np.testing.assert_array_equal(delayed.states[-1].pending, commands[-3:])
-    np.testing.assert_array_equal(delayed.told, delayed.robots[:-1])
-    assert not delayed.records.is_faulty.any()
+    np.testing.assert_array_equal(state.pending, commands[-3:])
+    np.testing.assert_array_equal(told, before)
+    assert not Faults(control_delay=3).is_active(jnp.asarray(0.05))
 
 
-def test_until_commands_arrive_there_is_the_default_one() -> None:
+def test_until_commands_arrive_there_is_the_default_one(late) -> None:
     idle = jnp.asarray([0.25, -2.0])  # no control is the least one
-    scenario = make(Faults(control_delay=3, walls=BARRIER))
-    scenario = eqx.tree_at(lambda s: s.robot.control_min, scenario, idle)
-    state = initial_loop_state(Script(jnp.asarray(FORWARD)), scenario)
+    robot = eqx.tree_at(lambda each: each.control_min, ROBOT, idle)
+    state = initial_loop_state(
+        Script(jnp.asarray(late[0])), Yard(robot, faults=Faults(control_delay=3))
+    )
     np.testing.assert_array_equal(state.pending, [[0.25, 0.0]] * 3)
 
 
 @pytest.fixture(scope="module")
 def walled() -> Run:
-    """The robot drives towards a wall that is there from 1 s on; commands come late."""
-    return run(make(Faults(walls=BARRIER, walls_from=1.0, control_delay=3), x=1.3))
+    """The robot drives towards a wall that is there from 1 s on."""
+    return run(make(Faults(walls=BARRIER, walls_from=1.0), x=1.2))
 
 
 def test_walls_appear_and_are_solid_seen_and_mapped(walled) -> None:
@@ -278,7 +252,7 @@ def test_walls_appear_and_are_solid_seen_and_mapped(walled) -> None:
 
 
 def test_before_they_appear_walls_are_not_there(walled) -> None:
-    never = run(make(Faults(walls=BARRIER, walls_from=100.0, control_delay=3), x=1.3))
+    never = run(make(Faults(walls=BARRIER, walls_from=100.0), x=1.2))
     np.testing.assert_array_equal(never.maps[:21], walled.maps[:21])
     assert never.robots[-1, 0] > 2.5
     assert not never.records.is_collision.any()
@@ -286,14 +260,14 @@ def test_before_they_appear_walls_are_not_there(walled) -> None:
 
 
 def test_a_look_at_the_run_shows_the_walls_that_appeared() -> None:
-    scenario = make(Faults(walls=BARRIER, walls_from=0.0, control_delay=3), x=1.6)
+    scenario = make(Faults(walls=BARRIER, walls_from=0.0), x=1.6)
     recording = record_run(Script(jnp.asarray(FORWARD)), scenario, 1, key=jax.random.key(0))
     assert recording.frames[-1].scan[:, 0].max() <= 2.2 + 1e-3
 
 
 def test_the_same_key_gives_the_same_run_and_times_do_not_compile_again(walled) -> None:
     noisy = Lidar(72, 1.0, range_noise=0.03)
-    faults = Faults(walls=BARRIER, walls_from=0.5, control_delay=3, scan_dropout=(0.2, 0.4))
+    faults = Faults(walls=BARRIER, walls_from=0.5, scan_dropout=(0.2, 0.4))
     before = run_chunk._cached._cache_size()
     first, second = (run(make(faults, lidar=noisy), wandering(1), seed=4) for _ in range(2))
     other = run(make(faults, lidar=noisy), wandering(1), seed=5)
@@ -303,7 +277,6 @@ def test_the_same_key_gives_the_same_run_and_times_do_not_compile_again(walled) 
     later = Faults(
         walls=BARRIER[::-1, ::-1],
         walls_from=0.7,
-        control_delay=3,
         scan_dropout=(0.1, 0.3),
         lost_odometry=(1.0, 1.1),
         frozen_odometry=(1.2, 1.3),

@@ -1,13 +1,11 @@
 """Domain randomisation: a true robot that differs from episode to episode."""
 
-import dataclasses
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from tests.kinds import Yard
 
 import jaxplore as jx
 from jaxplore.build.tasks import build, make_settings
@@ -49,35 +47,6 @@ class Hold(Controller):
 
     def at_period(self, control_period):
         return self
-
-
-class Place(NamedTuple):
-    robot: jax.Array
-
-
-class Yard(jx.Scenario):
-    """A free yard; the state of the task is that of the robot."""
-
-    robot: jx.Dynamics
-    start: jax.Array = dataclasses.field(default_factory=lambda: jnp.zeros(5))
-    control_period: jax.Array = dataclasses.field(default_factory=lambda: PERIOD)
-    faults: jx.Faults | None = None
-
-    def init(self, key):
-        return Place(self.start), None
-
-    def perceive(self, state, moment, key):
-        return state, None
-
-    def advance(self, state, control, moment, info):
-        after = self.robot.step(state.robot, control, self.control_period)
-        return state._replace(robot=after), (after, moment.observed)
-
-    def is_unfinished(self, state):
-        return jnp.array(True)
-
-    def recording(self, controller, before, run):
-        raise NotImplementedError
 
 
 HOLD, YARD = Hold(jnp.asarray([1.0, 0.6]), 5), Yard(ROBOT)
