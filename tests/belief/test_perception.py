@@ -27,6 +27,8 @@ pytestmark = pytest.mark.long
 
 LIDAR = Lidar(num_beams=72, max_range=1.5, range_noise=0.0)
 PERCEPTION = Perception(LIDAR, 0.1, 0.2, num_directions=16)
+# Of a type that is said, as all numbers here: another one would be another program.
+NOWHERE = jnp.full(3, jnp.nan, jnp.float32)
 init = eqx.filter_jit(lambda perception, *arguments: perception.init(*arguments))
 observe = eqx.filter_jit(lambda perception, *arguments: perception.observe(*arguments))
 update_fields = eqx.filter_jit(lambda perception, *arguments: perception.update_fields(*arguments))
@@ -141,7 +143,7 @@ def test_a_place_watched_in_vain_loses_its_pull_and_regains_it() -> None:
     assert float(fresh.guidance(ahead)) < float(fresh.guidance(behind))
     assert float(tired.guidance(ahead)) > float(tired.guidance(behind))
     assert float(tired.dwell.max()) == pytest.approx(60 * (1 - math.exp(-0.5)), rel=0.05)
-    forgetful = eqx.tree_at(lambda p: p.memory, PERCEPTION, jnp.asarray(1.0))
+    forgetful = eqx.tree_at(lambda p: p.memory, PERCEPTION, jnp.float32(1.0))
     assert float(fields(world, near, forgetful, times=150).dwell.max()) < 1.5
 
 
@@ -169,7 +171,7 @@ def test_a_robot_that_localises_gives_up_looks_when_it_sees_nothing_new(
         return update_fields(perception, belief, pose, jnp.asarray(elapsed))
 
     def waited(belief, elapsed: float):
-        return update_fields(perception, belief, jnp.full(3, jnp.nan), jnp.asarray(elapsed))
+        return update_fields(perception, belief, NOWHERE, jnp.asarray(elapsed))
 
     assert leads_ahead(belief)
     # What it has seen by now is new; from then on nothing is, for so many seconds.
@@ -211,7 +213,7 @@ def test_little_information_comes_last_however_near() -> None:
     belief = fields(world, (2.0, 1.5, 0.0))
     left, right = (float(belief.guidance(jnp.asarray([x, 1.5]))) for x in (1.8, 2.6))
     assert right < left
-    eager = eqx.tree_at(lambda p: p.min_information, PERCEPTION, jnp.asarray(1e-3))
+    eager = eqx.tree_at(lambda p: p.min_information, PERCEPTION, jnp.float32(1e-3))
     belief = fields(world, (2.0, 1.5, 0.0), eager)
     assert float(belief.guidance.values.min()) < 900.0
 
@@ -370,7 +372,7 @@ def test_the_map_counts_as_explored_right_below_the_share_given() -> None:
     world[1:10, 40] = [0.14, 0.15, 0.2, 0.8, 0.85, 0.86, 0.14, 0.86, 0.14]  # four are unknown
     share = (12 * 30 + 4) / (30 * 60)
     for most, expected in ((share + 1e-4, True), (share - 1e-4, False)):
-        perception = eqx.tree_at(lambda p: p.max_unknown, HOMING, jnp.asarray(most))
+        perception = eqx.tree_at(lambda p: p.max_unknown, HOMING, jnp.float32(most))
         belief = beginning(world, pose, perception)
         assert bool(belief.is_explored) is expected
         # Then the goal alone counts, however much is unknown.
@@ -388,13 +390,13 @@ def test_nothing_worthwhile_within_reach_is_explored_too() -> None:
 def test_the_goal_comes_before_what_is_hardly_worth_it() -> None:
     world, pose = room(), (3.6, 1.5, 0.0)
     world[14, 14] = 0.5  # one cell
-    never = eqx.tree_at(lambda p: p.max_unknown, HOMING, jnp.asarray(0.0))
+    never = eqx.tree_at(lambda p: p.max_unknown, HOMING, jnp.float32(0.0))
     belief = beginning(world, pose, never)
     worth = float(belief.information.total.max())
     assert 0.1 * 3.0 < worth < 3.0  # left for last, not given up
     assert bool(belief.is_explored)
     assert at_places(belief, pose[:2])[0, 0] > 0.5
-    eager = eqx.tree_at(lambda p: p.min_information, never, jnp.asarray(0.5 * worth))
+    eager = eqx.tree_at(lambda p: p.min_information, never, jnp.float32(0.5 * worth))
     belief = beginning(world, pose, eager)
     assert not bool(belief.is_explored)
     assert at_places(belief, pose[:2])[0, 0] < -0.5
@@ -411,7 +413,7 @@ def lost():
     """A belief with something to see, before and after an update without a known pose."""
     world = room()
     world[:, :20] = 0.5
-    pose, nowhere = jnp.asarray([3.5, 1.5, 0.0]), jnp.full(3, jnp.nan)
+    pose, nowhere = jnp.asarray([3.5, 1.5, 0.0]), NOWHERE
     before = beginning(world, (3.5, 1.5, 0.0))
     before = update_fields(HOMING, before, pose, jnp.asarray(0.2))
     return before, update_fields(HOMING, before, nowhere, jnp.asarray(0.2))
@@ -468,7 +470,7 @@ def looked():
     perception, world = two(IdlenessMap(10.0)), OccupancyGrid(room(), 0.1)
     before = init(perception, unknown(), POSE)
     scans = tuple(scan(sensor, world, POSE, FLAT) for sensor in (CAMERA, LIDAR))
-    return before, scans, observe(perception, before, scans, POSE, 0.25)
+    return before, scans, observe(perception, before, scans, POSE, jnp.float32(0.25))
 
 
 def test_both_sensors_make_the_map(looked) -> None:
@@ -513,7 +515,7 @@ def test_what_is_not_seen_again_grows_older_by_the_time_given(looked) -> None:
     _, scans, after = looked
     perception = two(IdlenessMap(10.0))
     away = jnp.asarray([2.5, 1.5, math.pi])
-    later = np.asarray(observe(perception, after, scans, away, 0.75).idleness)
+    later = np.asarray(observe(perception, after, scans, away, jnp.float32(0.75)).idleness)
     seen = np.asarray(after.idleness) == 0.0
     rows, columns = np.nonzero(seen & (np.mgrid[:30, :60][1] > 26))
     assert len(rows) > 100

@@ -454,20 +454,27 @@ def test_a_rectangle_collides_with_its_corners() -> None:
     # The face of the wall is at 7.8 m; the car is 0.5 m wide and reaches 0.8 m ahead.
     yaw = 0.2
     front = 0.8 * math.cos(yaw) + 0.25 * math.sin(yaw)
-    # For the car a smaller world: another robot is another program.
-    place = OccupancyGrid(hall(), RESOLUTION)
-    perception = Perception(AROUND, RESOLUTION, CAR.radius, num_directions=4, node_spacing=0.2)
-    rates = {
-        "control_rate": 1.0 / PERIOD,
-        "sensing_rate": 0.5 / PERIOD,
-        "field_rate": 0.25 / PERIOD,
-    }
     start = (5.0, 2.5, yaw)
-    car = drive(
-        ExplorationScenario(place, CAR, AROUND, start, perception=perception, **rates),
-        120,
-        (1.0, 0.0),
-    )
+    given = scenario(start=start, robot=CAR)
+    # The motion alone: what the car perceives would be another large program.
+    task = begin(scenario(start=start))[1].task._replace(robot=CAR.at_pose(*start))
+
+    @eqx.filter_jit
+    def driven_car(given, task):
+        controller = Steady(jnp.asarray([1.0, 0.0]))
+        control, _, info = controller.step((), given.start, key=jax.random.key(0))
+        off = jnp.array(False)
+
+        def advance(task, step):
+            time = step.astype(jnp.float32) * given.control_period
+            moment = Moment(step, time, task.robot, off, off)
+            return given.advance(task, control, moment, info)
+
+        return jax.lax.scan(advance, task, jnp.arange(120, dtype=jnp.int32))
+
+    task, records = jax.tree.map(np.asarray, driven_car(given, task))
+    states = np.concatenate([np.asarray(given.start)[None], records.state]).astype(np.float64)
+    car = Outcome(task, records, states)
     disc = drive(scenario(start=(5.0, 2.5, yaw)), 120, (1.0, 0.0))
     for outcome, reach in ((car, front), (disc, 0.25)):
         assert outcome.records.is_collision.any()
