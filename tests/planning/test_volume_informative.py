@@ -214,7 +214,7 @@ step = eqx.filter_jit(VolumeInformativeMPPI.step)
 
 def test_a_robot_that_is_lost_keeps_its_plan(known, controllers) -> None:
     controller = controllers["two-layer"]
-    at, lost = ROBOT.at_pose(6.0, 1.6, 0.7, -1.2), jnp.full(13, jnp.nan)
+    at, lost = ROBOT.at_pose(6.0, 1.6, 0.7, -1.2), jnp.full(13, jnp.nan, jnp.float32)
     _, state, _ = step(controller, controller.init(), at, known, key=jax.random.key(0))
     assert int(state.age) == 1
     due = state._replace(age=jnp.asarray(4, jnp.int32))
