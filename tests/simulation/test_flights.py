@@ -143,7 +143,7 @@ def test_flies_on_through_faults(architecture: str, faults: dict, seconds: float
     np.testing.assert_array_equal(flight.records.control[:late], np.tile(hovering, (late, 1)))
 
 
-@pytest.mark.parametrize("architecture", ["two-layer", "parallel"])
+@pytest.mark.parametrize("architecture", DELAYS)
 def test_stops_before_a_wall_that_appears(architecture: str) -> None:
     """Across the way of the flight without it, where it is in sight and there is time to stop."""
     free = free_flight(architecture)
