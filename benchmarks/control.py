@@ -191,7 +191,7 @@ def _noise(sizes: Sizes) -> Rows:
         "antithetic": AntitheticNoise(),
         "coloured, exponent 1": ColouredNoise(1.0),
         "Sobol": SobolNoise(),
-        "bank of 16 draws": NoiseBank(shape, key=KEY),
+        "bank": NoiseBank(key=KEY),
     }.items():
         proposal = GaussianProposal(problem["noise_std"], noise=noise)
         took = timed_step(build(problem, proposal=proposal), problem["start"], sizes.runs)

@@ -86,9 +86,8 @@ def _times(ours: list[Timed]) -> dict[str, Any]:
 
 
 def _bank(problem: Problem) -> GaussianProposal:
-    """Return noise from a bank of draws."""
-    shape = (problem["horizon"], len(problem["noise_std"]), problem["num_samples"])
-    return GaussianProposal(problem["noise_std"], noise=NoiseBank(shape, key=jax.random.key(0)))
+    """Return noise from a bank."""
+    return GaussianProposal(problem["noise_std"], noise=NoiseBank(key=jax.random.key(0)))
 
 
 def _variants(result: dict[str, Any] | None) -> list[tuple[str, dict[str, Any] | None]]:
