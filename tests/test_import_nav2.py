@@ -162,6 +162,94 @@ def test_a_car_along_a_path(read) -> None:
     build(make_settings(found.entries))
 
 
+def test_a_motion_model_may_be_an_instance_with_a_plugin(read) -> None:
+    wheels = {"motion_model": "wheels", "wheels": {"plugin": "mppi::DiffDriveMotionModel"}}
+    plain, named = read(parameters()), read(parameters(wheels))
+    assert named == plain
+    turns = {"plugin": "mppi::AckermannMotionModel", "min_turning_r": 1.1}
+    own = read(parameters({"motion_model": "my_car", "my_car": turns}))
+    old = {"motion_model": "Ackermann", "AckermannConstraints": {"min_turning_r": 1.1}}
+    assert own == read(parameters(old))
+    assert own.entries["robot"]["model"] == "ackermann"
+
+
+@pytest.mark.parametrize("is_nested", [False, True])
+def test_mppi_inside_of_a_rotation_shim(read, is_nested: bool) -> None:
+    plain, tree = read(parameters()), parameters()
+    server = tree["controller_server"]["ros__parameters"]
+    shim = {
+        "plugin": "nav2_rotation_shim_controller::RotationShimController",
+        "angular_dist_threshold": 0.785,
+    }
+    inner = server["FollowPath"]
+    beside = {**inner, **shim, "primary_controller": PLUGIN}
+    server["FollowPath"] = {**shim, "primary_controller": inner} if is_nested else beside
+    found = read(tree)
+    assert found.entries == plain.entries
+    (of_shim,) = set(found.left_out) - set(plain.left_out)
+    assert of_shim.name == "FollowPath.angular_dist_threshold"
+    assert "turn on the spot" in of_shim.reason
+
+
+def test_of_other_controllers_the_robot_and_the_rate_are_taken(read) -> None:
+    tree = parameters(
+        {
+            **dict.fromkeys(FOLLOW),
+            "plugin": "dwb_core::DWBLocalPlanner",
+            "max_vel_x": 0.26,
+            "max_vel_theta": 1.1,
+            "acc_lim_x": 2.5,
+            "decel_lim_x": -2.0,
+            "critics": ["RotateToGoal", "Oscillation"],
+        }
+    )
+    found = read(tree)
+    robot = {
+        "model": "differential_drive",
+        "max_speed": 0.26,
+        "max_turn_rate": 1.1,
+        "max_acceleration": 2.5,
+        "max_deceleration": 2.0,
+        "radius": 0.25,
+    }
+    assert found.entries["robot"] == robot
+    assert found.entries["rates"]["control"] == 30.0
+    (left,) = found.left_out
+    assert left.name == "FollowPath"
+    assert "another controller than MPPI" in left.reason
+    build(make_settings(found.entries))
+    # What the controller does not bound, the velocity smoother does.
+    tree["controller_server"]["ros__parameters"]["FollowPath"] = {
+        "plugin": "nav2_regulated_pure_pursuit_controller::RegulatedPurePursuitController",
+        "desired_linear_vel": 0.5,
+    }
+    limits = {
+        "max_velocity": [0.4, 0.0, 1.2],
+        "max_accel": [1.5, 0.0, 2.2],
+        "max_decel": [-1.8, 0.0, -3.0],
+    }
+    tree["velocity_smoother"] = {"ros__parameters": limits}
+    assert read(tree).entries["robot"] == {
+        "model": "differential_drive",
+        "max_speed": 0.5,
+        "max_turn_rate": 1.2,
+        "max_acceleration": 1.5,
+        "max_deceleration": 1.8,
+        "max_angular_acceleration": 2.2,
+        "radius": 0.25,
+    }
+
+
+def test_mppi_is_taken_before_another_controller(read) -> None:
+    tree = parameters()
+    server = tree["controller_server"]["ros__parameters"]
+    server["controller_plugins"] = ["Other", "FollowPath"]
+    server["Other"] = {"plugin": "dwb_core::DWBLocalPlanner", "max_vel_x": 0.1}
+    assert read(tree) == read(parameters())
+    other = read(tree, "exploration", "Other")
+    assert other.entries["robot"]["max_speed"] == 0.1
+
+
 def test_names_with_dots_namespaces_and_what_is_left_out(read) -> None:
     flat = {
         "FollowPath.plugin": PLUGIN,
@@ -229,7 +317,7 @@ def test_the_command_writes_settings_that_are_read_again(
         ),
         ({"ax_max": 0.0}, "setting robot.max_acceleration is 0.0; accepted: "),
         ({"CostCritic": {"cost_weight": -1}}, "setting controller.obstacle_weight is -"),
-        ({"plugin": "dwb_core::DWBLocalPlanner"}, "no controller whose plugin is MPPIController"),
+        ({"plugin": None}, "has no controller; accepted: parameters of nav2"),
         ({".".join("a" * 30): 1}, "has too many dots; accepted: 20"),
     ],
     ids=str,

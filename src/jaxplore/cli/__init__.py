@@ -246,10 +246,11 @@ def print_settings(name: str | None) -> None:
 def import_nav2(
     file: Path, out: Path | None, task: str, controller: str | None, overwrite: bool
 ) -> None:
-    """Make settings from the parameters of nav2's MPPI controller.
+    """Make settings from the parameters of nav2.
 
     Reads the MPPI controller of controller_server and the robot of the costmaps. Names every
-    parameter that has no counterpart, with the reason:
+    parameter that has no counterpart, with the reason. Of another controller, such as DWB or
+    regulated pure pursuit, it takes the robot and the rate:
 
     \b
       jaxplore import-nav2 nav2_params.yaml -o settings.yaml

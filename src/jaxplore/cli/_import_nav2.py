@@ -39,7 +39,7 @@ def import_nav2(
 
 
 def _as_yaml(found: Nav2Settings, file: Path) -> str:
-    lines = [f"# From {printable_path(Path(file.name))}, parameters of nav2's MPPI controller."]
+    lines = [f"# From {printable_path(Path(file.name))}, parameters of nav2."]
     if found.left_out:
         lines += ["#", "# Without a counterpart:"]
         lines += [f"# {_plain(name)}: {reason}" for name, reason in found.left_out]

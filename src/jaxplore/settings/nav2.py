@@ -25,7 +25,9 @@ from jaxplore.settings.nav2_file import (
     costmap,
     find,
     number,
+    other_controllers,
     outline,
+    smoother,
 )
 from jaxplore.settings.path import PATH, TRACK, PathRobotSettings, make_path_settings
 from jaxplore.settings.robot import RobotSettings
@@ -36,6 +38,8 @@ MODELS = {
     "Ackermann": "ackermann",
 }
 """Models of robots by the motion models of nav2."""
+CAR = "AckermannConstraints"
+"""Parameters of a car where the motion model is no instance with its own."""
 NAV2 = {
     "time_steps": 56,
     "model_dt": 0.05,
@@ -51,7 +55,7 @@ NAV2 = {
     "ax_max": 3.0,
     "ax_min": -3.0,
     "az_max": 3.5,
-    "AckermannConstraints.min_turning_r": 0.2,
+    f"{CAR}.min_turning_r": 0.2,
 }
 """Defaults of nav2, which hold for what a file leaves out."""
 MOST_STEERING = 1.5
@@ -121,7 +125,10 @@ class Nav2Settings(NamedTuple):
 
 
 def read_nav2(path: Path, task: str = "exploration", controller: str | None = None) -> Nav2Settings:
-    """Read the MPPI controller of a parameter file of nav2.
+    """Read the MPPI controller of a parameter file of nav2, or the robot of another one.
+
+    Of other controllers (DWB, regulated pure pursuit and those with the same names) the limits of
+    the robot, its shape and the rate are taken, from the velocity smoother where they have none.
 
     Args:
         path: YAML file with the parameters of `controller_server` and of the costmaps.
@@ -136,12 +143,15 @@ def read_nav2(path: Path, task: str = "exploration", controller: str | None = No
         raise ValueError(f"task is {task!r}; accepted: {', '.join(_WEIGHTS)}")
     where = printable_path(path)
     tree = as_nested(read_yaml(path, "nav2 parameter file"))
-    found = controllers(tree)
-    named = {name: each for name, each in found.items() if controller in (None, name)}
+    mppi = controllers(tree)
+    found = {**other_controllers(tree), **mppi}
+    # Without a name one of MPPI is taken before others of the same file.
+    asked = mppi or found
+    named = asked if controller is None else {k: v for k, v in found.items() if k == controller}
     if not found:
         raise ValueError(
-            f"{where} has no controller whose plugin is {PLUGIN}; accepted: parameters of nav2's "
-            "controller_server with one"
+            f"{where} has no controller; accepted: parameters of nav2's controller_server with "
+            f"one, of {PLUGIN} or another"
         )
     if len(named) != 1:
         names = ", ".join(found)
@@ -150,12 +160,15 @@ def read_nav2(path: Path, task: str = "exploration", controller: str | None = No
     given = _Given(name, as_flat(section))
     entries: dict[str, Any] = {"map": OFFICE} if task == "exploration" else {PATH: TRACK}
     writer = _Writer(entries, task)
-    _robot(given, writer, tree)
-    _sampling(given, writer)
-    _critics(given, writer)
+    if name in mppi:
+        _robot(given, writer, tree)
+        _sampling(given, writer)
+        _critics(given, writer)
+    else:
+        _other_robot(given, writer, tree)
     _rates(writer, server)
     _clearance(writer, tree)
-    for rest in given.unread():
+    for rest in given.unread() if name in mppi else ():
         given.leave(rest, reasons.of_parameter(rest))
     check = make_exploration_settings if task == "exploration" else make_path_settings
     check(entries)
@@ -236,11 +249,14 @@ class _Writer:
 def _robot(given: _Given, to: _Writer, tree: Tree) -> None:
     """Translate the motion model, the limits, and the footprint of the costmaps."""
     motion = given.read("motion_model") or "DiffDrive"
-    # In newer versions the name is that of a class, such as `mppi::DiffDriveMotionModel`.
-    word = str(motion).rpartition("::")[2].removesuffix("MotionModel")
+    # In newer versions the name is that of a class, such as `mppi::DiffDriveMotionModel`, or of an
+    # instance, whose class is its `plugin`.
+    kind = given.read(f"{motion}.plugin") or motion
+    word = str(kind).rpartition("::")[2].removesuffix("MotionModel")
     if word not in MODELS:
         raise ValueError(
-            f"{given.name}.motion_model is {short_repr(motion)}; accepted: {', '.join(MODELS)}"
+            f"{given.name}.motion_model is {short_repr(kind)}; accepted: {', '.join(MODELS)}, or "
+            "the name of an instance whose plugin is one of them"
         )
     model = MODELS[word]
     to.set("robot.model", model)
@@ -262,19 +278,63 @@ def _robot(given: _Given, to: _Writer, tree: Tree) -> None:
             given.leave(name, reasons.NOT_LATERAL)
     shape = outline(tree)
     if model == "ackermann":
-        _car(given, to, shape)
+        _car(given, to, shape, str(motion))
         return
     to.set("robot.max_turn_rate", given.positive("wz_max"))
     to.set("robot.max_angular_acceleration", given.positive("az_max"))
-    given.leave("AckermannConstraints.min_turning_r", reasons.NOT_A_CAR)
+    for section in (CAR, motion):
+        given.leave(f"{section}.min_turning_r", reasons.NOT_A_CAR)
+    _shape(to, shape)
+
+
+LIMITS = {
+    "max_speed": ("max_vel_x", "desired_linear_vel", "v_linear_max"),
+    "max_turn_rate": ("max_vel_theta", "rotate_to_heading_angular_vel", "v_angular_max"),
+    "max_acceleration": ("acc_lim_x", "max_linear_accel"),
+    "max_deceleration": ("decel_lim_x", "max_linear_decel"),
+    "max_angular_acceleration": ("acc_lim_theta", "max_angular_accel"),
+}
+"""Limits of a robot by the names that controllers other than MPPI have for them."""
+_SMOOTHED = {
+    "max_speed": ("max_velocity", 0),
+    "max_turn_rate": ("max_velocity", 1),
+    "max_acceleration": ("max_accel", 0),
+    "max_deceleration": ("max_decel", 0),
+    "max_angular_acceleration": ("max_accel", 1),
+}
+
+
+def _other_robot(given: _Given, to: _Writer, tree: Tree) -> None:
+    """Take the robot of another controller than MPPI."""
+    given.left_out.append(LeftOut(given.name, reasons.OTHER))
+    to.set("robot.model", "differential_drive")
+    smoothed = smoother(tree)
+    for limit, names in LIMITS.items():
+        known = [name for name in names if name in given.values]
+        listed, axis = _SMOOTHED[limit]
+        if known:
+            name, value = f"{given.name}.{known[0]}", given.values[known[0]]
+        elif listed in smoothed:
+            name, value = f"velocity_smoother.{listed}", smoothed[listed][axis]
+        else:
+            continue
+        bound = abs(number(name, value)) if limit == "max_deceleration" else number(name, value)
+        if bound <= 0.0:
+            raise ValueError(f"{name} is {bound:g}; accepted: a number > 0")
+        to.set(f"robot.{limit}", bound)
+    _shape(to, outline(tree))
+
+
+def _shape(to: _Writer, shape: Outline) -> None:
+    """Set the radius of the disc around a robot."""
     if isinstance(shape, float):
         to.set("robot.radius", shape)
     elif shape:
         to.set("robot.radius", max(math.hypot(*corner) for corner in shape))
 
 
-def _car(given: _Given, to: _Writer, shape: Outline) -> None:
-    """Translate the turning circle and the shape of a car."""
+def _car(given: _Given, to: _Writer, shape: Outline, motion: str) -> None:
+    """Translate the turning circle and the shape of a car, of an instance of a motion model."""
     kind = RobotSettings if to.task == "exploration" else PathRobotSettings
     wheelbase = float(kind.model_fields["wheelbase"].default)
     if shape is not None:
@@ -285,7 +345,8 @@ def _car(given: _Given, to: _Writer, shape: Outline) -> None:
         to.set("robot.length", max(xs) - min(xs))
         to.set("robot.width", max(ys) - min(ys))
         to.set("robot.wheelbase", wheelbase)
-    radius = given.positive("AckermannConstraints.min_turning_r")
+    section = motion if f"{motion}.min_turning_r" in given.values else CAR
+    radius = given.positive(f"{section}.min_turning_r")
     to.set("robot.max_steering", min(math.atan(wheelbase / radius), MOST_STEERING))
     for each in ("wz_max", "az_max"):
         given.leave(each, reasons.STEERED)

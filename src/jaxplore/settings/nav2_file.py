@@ -8,6 +8,8 @@ from jaxplore._text import short_repr
 
 PLUGIN = "MPPIController"
 """End of the name of nav2's plugin, `nav2_mppi_controller::MPPIController`."""
+PRIMARY = "primary_controller"
+"""Parameter of a rotation shim: the controller that follows the path."""
 MOST_LEVELS = 20
 """Largest number of dots in the name of a parameter."""
 LARGEST = 1e9
@@ -53,15 +55,38 @@ def costmap(tree: Tree, name: str) -> Tree:
 
 
 def controllers(tree: Tree) -> dict[str, tuple[Tree, Tree]]:
-    """Return the MPPI controllers by name, each with the parameters of its server."""
+    """Return the MPPI controllers by name, each with the parameters of its server.
+
+    One may be the primary controller of a rotation shim, whose parameters are beside those of the
+    shim, or below `primary_controller` of it.
+    """
     found: dict[str, tuple[Tree, Tree]] = {}
     for name, section in tree.items():
         if not isinstance(section, dict):
             continue
-        if str(section.get("plugin", "")).endswith(PLUGIN):
-            found[name] = (tree, section)
-        found |= controllers(section)
+        primary = section.get(PRIMARY)
+        inner = primary if isinstance(primary, dict) else {}
+        plugins = (section.get("plugin"), primary, inner.get("plugin"))
+        if any(str(each).endswith(PLUGIN) for each in plugins):
+            of_shim = {key: each for key, each in section.items() if key != PRIMARY}
+            found[name] = (tree, {**of_shim, **inner})
+        else:
+            found |= controllers(section)
     return found
+
+
+def other_controllers(tree: Tree) -> dict[str, tuple[Tree, Tree]]:
+    """Return the other controllers of the controller server, in the same way."""
+    server = find(tree, lambda key, _: key.lstrip("/") == "controller_server") or {}
+    listed = find(server, lambda key, _: key == "ros__parameters") or server
+    names = listed.get("controller_plugins", [])
+    named = [str(each) for each in names] if isinstance(names, list) else []
+    sections = {name: listed.get(name) for name in named}
+    return {
+        name: (listed, section)
+        for name, section in sections.items()
+        if isinstance(section, dict) and "plugin" in section
+    }
 
 
 def find(tree: Tree, is_it: Callable[[str, Tree], bool]) -> dict[str, Any] | None:
@@ -105,6 +130,18 @@ def as_flat(section: Tree, prefix: str = "") -> dict[str, Any]:
         inner = as_flat(value, f"{prefix}{name}.") if isinstance(value, dict) else None
         flat |= {f"{prefix}{name}": value} if inner is None else inner
     return flat
+
+
+def smoother(tree: Tree) -> dict[str, tuple[Any, Any]]:
+    """Return the limits (along x, about z) of nav2's velocity smoother by their names."""
+    outer = find(tree, lambda key, _: key.lstrip("/") == "velocity_smoother") or {}
+    listed = find(outer, lambda key, _: key == "ros__parameters") or {}
+    values = {name: listed.get(name) for name in ("max_velocity", "max_accel", "max_decel")}
+    return {
+        name: (each[0], each[2])
+        for name, each in values.items()
+        if isinstance(each, list) and len(each) == 3
+    }
 
 
 def number(name: str, value: object) -> float:

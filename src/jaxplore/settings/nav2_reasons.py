@@ -10,12 +10,16 @@ PATH_NOISE = "samples are splines of accelerations; their noise is controller.no
 TEMPERATURE = "contouring has other units of cost; its default controller.temperature is kept"
 POWER = "costs have a fixed growth"
 NOT_LISTED = "it is not among critics, so nav2 does not read it"
+OTHER = (
+    "it is another controller than MPPI: its robot and rates are taken, and jaxplore's own drives"
+)
 DISABLED = "the critic is disabled"
 
 _TRACKING = "the robot follows the guidance field of its map, not a global path"
 _NEAR_GOAL = "costs do not change near the goal or along the path"
 _SHOWN = "monitors and the animation of a run show rollouts"
 _HANDED = "the whole path is known to the controller, which does not prune or transform it"
+_SHIM = "a robot that can turn on the spot does so where its path or guidance asks for it"
 _KEPT = "a step without a finite rollout keeps the shifted plan"
 
 _CRITICS = {
@@ -72,6 +76,15 @@ _PARAMETERS = {
     "max_path_occupancy_ratio": _NEAR_GOAL,
     "max_angle_to_furthest": _NEAR_GOAL,
     "use_path_orientations": "the path has the directions of its curve",
+    "angular_dist_threshold": _SHIM,
+    "angular_disengage_threshold": _SHIM,
+    "forward_sampling_distance": _SHIM,
+    "rotate_to_heading_angular_vel": _SHIM,
+    "rotate_to_heading_once": _SHIM,
+    "rotate_to_goal_heading": _SHIM,
+    "max_angular_accel": _SHIM,
+    "simulate_ahead_time": _SHIM,
+    "closed_loop": _SHIM,
 }
 
 
