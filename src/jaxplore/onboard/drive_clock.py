@@ -83,7 +83,10 @@ class DriveClock:
         last, moved, time = self._last
         seconds = self._since(at)
         if seconds is None:
-            self.jump = f"the clock jumped by {at.clock - last.clock:.1f} s"
+            away = at.clock - last.clock
+            if not at.is_simulated and at.steady is not None and last.steady is not None:
+                away -= at.steady - last.steady
+            self.jump = f"the clock jumped by {away:.1f} s"
         passed = self._period if seconds is None else max(0.0, seconds)
         if at.clock != moved.clock or at.steady is None or moved.steady is None:
             moved = at
