@@ -16,8 +16,11 @@ from follower import Follower
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.msg import Path as RosPath
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 PATIENCE = 300.0
@@ -67,6 +70,32 @@ class Watcher:
             if time.monotonic() - began > PATIENCE:
                 raise TimeoutError(f"{what}: robot {self.robot}, node {self.driver}")
             time.sleep(0.05)
+
+
+class SimulatedTime:
+    """Publishes a clock that a test may set and stop, and lets nodes use it."""
+
+    def __init__(self, watcher: Watcher, nodes: tuple[str, ...]) -> None:
+        self.node, self.time, self.rate = watcher.node, 100.0, 1.0
+        self._clock = self.node.create_publisher(Clock, "/clock", 5)
+        threading.Thread(target=self._publish, daemon=True).start()
+        value = Parameter("use_sim_time", value=True).to_parameter_msg()
+        for each in nodes:
+            client = self.node.create_client(SetParameters, f"{each}/set_parameters")
+            watcher.wait(f"{each} has parameters", client.service_is_ready)
+            found = client.call_async(SetParameters.Request(parameters=[value]))
+            watcher.wait(f"{each} takes the time", found.done)
+
+    def _publish(self) -> None:
+        last = time.monotonic()
+        while True:
+            time.sleep(0.01)
+            now = time.monotonic()
+            self.time += self.rate * (now - last)
+            last, message = now, Clock()
+            message.clock.sec = int(self.time)
+            message.clock.nanosec = int(1e9 * (self.time % 1.0))
+            self._clock.publish(message)
 
 
 def command(name: str, *arguments: str) -> subprocess.Popen:
@@ -120,6 +149,23 @@ def main(folder: Path) -> dict:
         watcher.wait("it stands", lambda: max(watcher.speeds[-5:]) == 0.0)
         watcher.order("start")
         watcher.wait("it drives again", lambda: watcher.speeds[-1] > 0.1)
+        # Both take the time from a simulator, which begins anew, and then pauses.
+        simulated, seen["clock"] = SimulatedTime(watcher, ("/jaxplore", "/jaxplore_robot")), []
+
+        def follow(what: str, reason: str) -> None:
+            watcher.wait(what, lambda: watcher.driver.get("reason", "").startswith(reason))
+            seen["clock"].append(watcher.driver["reason"])
+
+        follow("the time is another", "the clock jumped by ")
+        watcher.wait("it drives by it", lambda: watcher.speeds[-1] > 0.1)
+        simulated.time -= 30.0
+        follow("the clock goes back", "the clock jumped by -30")
+        watcher.wait("it drives on", lambda: watcher.speeds[-1] > 0.1)
+        simulated.rate = 0.0
+        follow("the clock stands still", "the simulated clock")
+        watcher.wait("it stands", lambda: max(watcher.speeds[-5:]) == 0.0)
+        simulated.rate = 1.0
+        watcher.wait("it drives in the end", lambda: watcher.speeds[-1] > 0.1)
         drivers[1].send_signal(signal.SIGINT)
         text, _ = drivers[1].communicate(timeout=PATIENCE)
         seen["drive"] = [drivers[1].returncode, text]

@@ -35,10 +35,10 @@ class Pilot:
     def make_frame(self):
         return SimpleNamespace()
 
-    def add_odometry(self, _, pose, twist) -> None:
+    def add_odometry(self, _, pose, twist, received) -> None:
         self.positions.add(float(pose[0]))
 
-    def add_scan(self, _, scan, points) -> None:
+    def add_scan(self, _, scan, points, received) -> None:
         self.ranges |= {float(each) for each in np.asarray(scan.ranges)}
 
 
@@ -90,7 +90,7 @@ def main() -> dict:
             for index, (each, driver) in enumerate(zip(robots, drivers, strict=True)):
                 orders[index] |= set(driver._orders)
                 driver._orders.clear()
-                frames[index] |= {scan.frame for _, scan in driver._scans}
+                frames[index] |= {scan.frame for scan in driver._scans}
                 frames[index] |= {pose.frame for pose in driver._poses}
                 driver._take_messages()
                 commands[index] |= {round(float(twist[0]), 6) for twist in each._commands}

@@ -68,6 +68,15 @@ def test_a_node_that_dies_leaves_the_robot_to_its_watchdog(field) -> None:
     assert field[1]["state"]["watchdog_stops"] >= 1
 
 
+def test_a_simulated_clock_may_begin_anew_and_pause(field) -> None:
+    """The drive went on each time, and `test_the_robot_explores_without_a_contact` has the rest."""
+    first, back, paused = field[1]["clock"]
+    # From the time of the day to that of a simulator.
+    assert first.startswith("the clock jumped by ")
+    assert back == "the clock jumped by -30.0 s"
+    assert paused == "the simulated clock stands still"
+
+
 def test_ctrl_c_stops_the_robot_and_keeps_the_drive(field) -> None:
     folder, seen = field
     code, text = seen["drive"]

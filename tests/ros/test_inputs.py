@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from jaxplore.onboard.drive_clock import Instant
 from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.lidar import Lidar
@@ -28,8 +29,11 @@ class FakeLink:
     def frame(self, name) -> str:
         return name
 
-    def stamp_of(self, name, stamped) -> float:
-        return stamped
+    def instant(self) -> Instant:
+        return Instant(3.0, 7.0)
+
+    def warn_of_clock(self, name, stamped, at) -> None:
+        assert (stamped, at.steady) == (3.0, 7.0)
 
 
 def header(frame, seconds=3):
@@ -70,7 +74,7 @@ def test_poses_of_another_frame_than_the_first_are_refused() -> None:
 def test_scans_of_another_lidar_are_refused() -> None:
     link, taken = FakeLink(), []
     lidar = Lidar(num_beams=8, max_range=5.0)
-    subscribe_scan(link, NodeSettings(), lidar, Mount(x=0.3), lambda each, _: taken.append(each))
+    subscribe_scan(link, NodeSettings(), lidar, Mount(x=0.3), taken.append)
     take = link.handles["/scan"]
     take(scan("front_laser"))
     with pytest.raises(ValueError, match="of /scan is 'rear_laser'; accepted: 'front_laser'"):

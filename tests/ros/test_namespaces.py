@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxplore.cli import main
+from jaxplore.onboard.drive_clock import Instant
 from jaxplore.ros.inputs import subscribe_pose
 from jaxplore.settings.node import NodeSettings, part_node
 from jaxplore.settings.ros_names import MOST_CHARACTERS, checked_namespace
@@ -157,8 +158,11 @@ def test_transforms_are_looked_up_under_the_namespace(frames, found) -> None:
         def topic(self, name):
             return name
 
-        def stamp_of(self, _, stamped):
-            return stamped
+        def instant(self):
+            return Instant(1.0)
+
+        def warn_of_clock(self, _, stamped, at):
+            assert stamped == at.clock
 
         def subscribe(self, kind, topic, handle, *, is_kept=False):
             self.handles[topic] = handle

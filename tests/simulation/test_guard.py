@@ -21,7 +21,8 @@ from jaxplore import (
     Variation,
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.guard import FROZEN, GOOD, LOST, MISFIT, REASONS
+from jaxplore.control.guard import BLIND, FROZEN, GOOD, LOST, MISFIT, REASONS
+from jaxplore.control.plausibility import MAX_AGE
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
@@ -122,6 +123,25 @@ def test_without_a_fault_it_stops_nothing(free) -> None:
     assert not free.records.is_collision.any()
     np.testing.assert_allclose(free.told, free.robots[:-1], atol=1e-6)
     assert free.robots[-1, 0] > BRAKE_AT
+
+
+def test_without_scans_it_brakes_as_on_a_robot_and_goes_on_with_them(free) -> None:
+    found = drive(scenario(Faults(scan_dropout=(1.0, 3.0), **NO_WALLS)))
+    stops = found.records.stop
+    first, last = np.flatnonzero(stops)[[0, -1]]
+    # The last scan was at 0.9 s.
+    assert 0.9 + MAX_AGE < first * PERIOD + 1e-6 <= 0.9 + MAX_AGE + PERIOD + 1e-3
+    assert (stops[first : last + 1] == BLIND).all()
+    assert REASONS[BLIND] == "the scan is old"
+    # The first scan after the dropout is at 3.0 s.
+    assert last * PERIOD == pytest.approx(3.0)
+    speeds = found.robots[:, 3]
+    assert speeds[first] > 0.5
+    braking = round(speeds[first] / 1.0 / PERIOD) + 1
+    assert (speeds[first + braking : last] < 1e-6).all()
+    np.testing.assert_array_equal(found.robots[: first + 1], free.robots[: first + 1])
+    assert speeds[-1] > 0.3
+    assert not found.records.is_collision.any()
 
 
 @pytest.mark.parametrize(

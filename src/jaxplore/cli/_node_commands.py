@@ -89,7 +89,8 @@ def robot(**options: Any) -> None:
     """Simulate a robot in a map as a ROS 2 node, at wall-clock time.
 
     Publishes /scan, /odom and /map, and obeys /cmd_vel as the base of a real robot does, with a
-    watchdog of half a second. Writes a run folder that says what the robot has seen and touched:
+    watchdog of a quarter of a second. Writes a run folder that says what the robot has seen and
+    touched:
 
     \b
       jaxplore robot office

@@ -1,5 +1,6 @@
 """Stop a robot whose pose, scan or motion cannot be true, and estimate the delay of commands."""
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,6 +13,7 @@ from jaxplore._types import ArrayLike, ControlVector, Count, Scalar, StateVector
 from jaxplore.control.latency import predicted_state
 from jaxplore.control.plausibility import (
     JUMP_SECONDS,
+    MAX_AGE,
     MAX_MISFIT,
     RETRY_SECONDS,
     is_jump,
@@ -20,15 +22,19 @@ from jaxplore.control.plausibility import (
 from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.base import Dynamics
 
-GOOD, LOST, FROZEN, JUMPED, MISFIT = range(5)
+GOOD, LOST, FROZEN, JUMPED, MISFIT, BLIND = range(6)
 REASONS = (
     "",
     "the pose is lost",
     "the pose does not change although the robot was told to move",
     "the pose jumped",
     "the scan does not fit the map",
+    "the scan is old",
 )
 """Why a robot is stopped, by code; code 0 is none."""
+LATE = 1.5
+"""Multiple of the time between two scans that a scan may be old, where that is more than the age
+that is accepted."""
 MEMORY_SECONDS = 0.3
 """Time constant with which errors of predictions are forgotten [s]."""
 BETTER = 0.25
@@ -45,16 +51,21 @@ class ScanPoints(NamedTuple):
         points: (P, 2) end points of the beams, placed by the expected pose [m].
         is_point: (P,) beams that ended at something.
         misfit: share of the returns that contradict the map, see `plausibility.scan_misfit`.
+        time: time of the scan [s]; infinite where the robot has no scans.
+        interval: time between two scans [s].
     """
 
     points: Float[Array, "P 2"]
     is_point: Bool[Array, " P"]
     misfit: Scalar
+    time: Scalar
+    interval: Scalar
 
     @classmethod
-    def blank(cls, number: int) -> "ScanPoints":
-        """Return `number` points that do not count."""
-        return cls(jnp.zeros((number, 2)), jnp.zeros(number, bool), jnp.zeros(()))
+    def blank(cls, number: int, time: float = math.inf) -> "ScanPoints":
+        """Return `number` points that do not count, of a scan at a time; of none when absent."""
+        nothing, at = jnp.zeros(()), jnp.asarray(time, jnp.float32)
+        return cls(jnp.zeros((number, 2)), jnp.zeros(number, bool), nothing, at, nothing)
 
 
 class GuardState(NamedTuple):
@@ -90,6 +101,8 @@ class MotionGuard(eqx.Module):
     - the observed state is not finite;
     - the pose is the same for longer than `max_frozen` while the commands should move the robot;
     - the pose is too far from where the commands lead (`plausibility.is_jump`), and 1 s after that;
+    - the newest scan is older than `max_age`, or than 1.5 times the time between two scans where
+      that is more;
     - more than half of the returns of the newest scan contradict the map
       (`plausibility.scan_misfit`).
 
@@ -110,12 +123,14 @@ class MotionGuard(eqx.Module):
         max_frozen: time for which the pose may be the same while the robot should move [s].
         max_delay: longest delay of commands that is recognised [control periods]; static.
         check: braking trajectories; a `StopCheck` with its defaults when absent.
+        max_age: greatest age of a scan [s].
 
     Raises:
         ValueError: a time that is not positive, a delay that is not a whole number >= 0.
     """
 
     max_frozen: Scalar
+    max_age: Scalar
     check: StopCheck
     max_delay: int = eqx.field(static=True)
 
@@ -124,9 +139,12 @@ class MotionGuard(eqx.Module):
         max_frozen: ArrayLike = 0.05,
         max_delay: int = 15,
         check: StopCheck | None = None,
+        *,
+        max_age: ArrayLike = MAX_AGE,
     ) -> None:
         _kinds.instance("check", check, StopCheck, may_be_none=True)
         self.max_frozen = _checks.scalar("max_frozen", max_frozen, above=0.0)
+        self.max_age = _checks.scalar("max_age", max_age, above=0.0)
         self.max_delay = _checks.whole_number("max_delay", max_delay, at_least=0)
         self.check = StopCheck() if check is None else check
 
@@ -155,7 +173,8 @@ class MotionGuard(eqx.Module):
         state: GuardState,
         observed: StateVector,
         last: StateVector,
-        misfit: Scalar,
+        scan: ScanPoints,
+        time: Scalar,
         period: Scalar,
     ) -> GuardState:
         """Judge an observed state.
@@ -165,9 +184,13 @@ class MotionGuard(eqx.Module):
             state: the guard's state.
             observed: (nx,) observed state.
             last: (nx,) the last one that was finite.
-            misfit: share of the returns of the newest scan that contradict the map.
+            scan: the newest scan.
+            time: present time [s].
             period: control period [s].
         """
+        misfit = scan.misfit
+        # Times are products in single precision.
+        is_blind = time - scan.time > jnp.maximum(self.max_age, LATE * scan.interval) + 1e-3
         pose = robot.pose(observed)
         is_same = (pose == robot.pose(last)).all()
         still = jnp.where(is_same & is_moving(state.velocity), state.still + period, 0.0)
@@ -180,8 +203,8 @@ class MotionGuard(eqx.Module):
         is_new = is_jump(robot.pose(state.expected), pose)
         jumped = is_new | ((before == JUMPED) & (since < JUMP_SECONDS))
         stop = jnp.select(
-            [is_lost, is_frozen, jumped, misfit > MAX_MISFIT],
-            [jnp.asarray(code, jnp.int32) for code in (LOST, FROZEN, JUMPED, MISFIT)],
+            [is_lost, is_frozen, jumped, is_blind, misfit > MAX_MISFIT],
+            [jnp.asarray(code, jnp.int32) for code in (LOST, FROZEN, JUMPED, BLIND, MISFIT)],
             jnp.zeros((), jnp.int32),
         )
         # A pose that jumps again must fit for a second again.
@@ -189,7 +212,9 @@ class MotionGuard(eqx.Module):
         errors = self._errors(robot, state, observed, last, period)
         is_whole = (stop == GOOD) & (before == GOOD) & ~is_same
         return state._replace(
-            expected=jnp.where((stop == GOOD) | (stop == JUMPED), observed, state.expected),
+            expected=jnp.where(
+                (stop == GOOD) | (stop == JUMPED) | (stop == BLIND), observed, state.expected
+            ),
             errors=jnp.where(is_whole, errors, state.errors),
             still=still,
             stop=stop,

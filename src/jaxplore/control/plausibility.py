@@ -20,6 +20,8 @@ MIN_SPEED, MIN_TURN_RATE = 0.1, 0.2
 """Speed [m/s] and turn rate [rad/s] above which a pose must change."""
 MAX_JUMP, MAX_TURN = 0.5, 0.8
 """Greatest distance [m] and angle [rad] of a pose from the expected one."""
+MAX_AGE = 0.3
+"""Greatest age of a pose or a scan by which a robot drives [s]."""
 MAX_MISFIT = 0.5
 """Share of the returns of a scan that may contradict the map."""
 MIN_RETURNS = 8

@@ -14,6 +14,8 @@ from jaxplore.maps.collision import discs_clearance
 
 FAR = 1e3
 """Distance to which points are moved that do not count [m]."""
+ROUNDING = 2e-5
+"""Greatest error of a distance in single precision some hundred metres from the origin [m]."""
 
 
 class Validated(NamedTuple):
@@ -124,8 +126,9 @@ class StopCheck(eqx.Module):
         after = robot.step(half, control, 0.5 * duration)
         here = gap(state)
         planned = jnp.minimum(gap(half), braking(after, jnp.zeros(())))
-        # A robot within the margin may move if it gets no closer; a millimetre is rounding.
-        is_safe = planned >= jnp.minimum(self.margin, here - 1e-3)
+        # A robot within the margin may move if it gets no closer, but for rounding. With more it
+        # would creep on in each control period.
+        is_safe = planned >= jnp.minimum(self.margin, here - ROUNDING)
         turns = jnp.linspace(-1.0, 1.0, self.num_turns) if self.num_turns > 1 else jnp.zeros(1)
         gaps = jax.vmap(lambda turn: braking(state, turn))(turns)
         # Of equal ones the straightest: distances are rounded to a millimetre for that.

@@ -25,9 +25,13 @@ class DataCheck:
 
     def __init__(self, options: PilotOptions, history: PoseHistory) -> None:
         self._options, self._history = options, history
+        self._jump: tuple[float, str] | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the scans, as the poses are forgotten: the clock has jumped."""
         self._scan_time: float | None = None
         self._scan_changed_at = self._still_at = -math.inf
-        self._jump: tuple[float, str] | None = None
         self._frozen: tuple[float, str] | None = None
 
     def add_scan(self, time: float, *, is_changed: bool) -> None:
@@ -42,7 +46,7 @@ class DataCheck:
             self._scan_changed_at = time
 
     def add_jump(self, time: float, problem: str) -> None:
-        """Note a pose that is impossible, and why."""
+        """Note a pose that is impossible, or a clock that jumped, and why."""
         self._jump = (time, problem)
 
     def problem(self, now: float, twist: np.ndarray) -> str | None:
@@ -53,18 +57,18 @@ class DataCheck:
             twist: (3,) last command.
         """
         last, options = self._history.last, self._options
+        if self._jump is not None and now - self._jump[0] >= JUMP_SECONDS:
+            self._jump = None
+        jump = None if self._jump is None else self._jump[1]
         if last is None:
-            return "no odometry yet"
+            return jump or "no odometry yet"
         if self._scan_time is None:
-            return "no scan yet"
+            return jump or "no scan yet"
         for name, time in (("odometry", last.time), ("scan", self._scan_time)):
             if now - time > options.max_age:
                 return f"the {name} is {now - time:.2f} s old"
-        if self._jump is not None:
-            since, problem = self._jump
-            if now - since < JUMP_SECONDS:
-                return problem
-            self._jump = None
+        if jump is not None:
+            return jump
         return self._frozen_problem(now, twist) if options.is_obeyed else None
 
     def _frozen_problem(self, now: float, twist: np.ndarray) -> str | None:

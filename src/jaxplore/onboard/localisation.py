@@ -42,6 +42,7 @@ class MapPoses:
         self._history, self._cell = history, cell
         self.joint = np.zeros(3) if is_internal else None
         self._sound: Placed | None = None
+        self._has_origin = False
         self.offset = np.zeros(2)
 
     def add(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> str | None:
@@ -52,7 +53,8 @@ class MapPoses:
             pose: (3,) pose (x, y, yaw) [m, m, rad].
             twist: (3,) velocity in the frame of the robot; estimated from the poses when absent.
         """
-        if self._history.last is None:
+        if not self._has_origin:
+            self._has_origin = True
             # Whole cells, so that maps of several drives have the same grid lines.
             self.offset = self._cell * np.round(np.asarray(pose[:2], np.float64) / self._cell)
         problem = self._history.add(time, pose, twist)

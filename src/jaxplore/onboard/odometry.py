@@ -52,6 +52,11 @@ class PoseHistory:
         """Time of the last pose that differed from the one before it [s]."""
         return self._moved_at
 
+    def forget(self, after: float = -math.inf) -> None:
+        """Forget the poses after a time [s]; all of them when absent."""
+        while self._places and self._places[-1].time > after:
+            self._places.pop()
+
     def add(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> str | None:
         """Add a pose; return what is impossible about it, or None.
 

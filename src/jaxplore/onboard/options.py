@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxplore import _checks, _kinds
+from jaxplore.control.plausibility import MAX_AGE
 
 
 class Mode(enum.StrEnum):
@@ -65,7 +66,7 @@ class PilotOptions:
     """
 
     latency: float = 0.05
-    max_age: float = 0.3
+    max_age: float = MAX_AGE
     max_frozen: float = 0.3
     max_jump: float = 0.5
     max_deceleration: float = 10.0

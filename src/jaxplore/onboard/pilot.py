@@ -1,6 +1,5 @@
 """The pilot of a robot: scans and odometry in, checked velocity commands out."""
 
-import math
 from typing import Any
 
 import jax
@@ -14,13 +13,20 @@ from jaxplore.control.guard import MISFIT, REASONS
 from jaxplore.control.validation import StopCheck
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
+from jaxplore.onboard.drive_clock import DriveClock, Instant, Stamps
 from jaxplore.onboard.frames import drive_frame
 from jaxplore.onboard.localisation import MapPoses
 from jaxplore.onboard.log import DriveLog
 from jaxplore.onboard.mapper import Mapper
 from jaxplore.onboard.odometry import PoseHistory, robot_state
 from jaxplore.onboard.options import Command, Mode, PilotOptions
-from jaxplore.onboard.scan_points import TakenScan, lidar_pose, nearest_points, no_points
+from jaxplore.onboard.scan_points import (
+    CHECKED_SECONDS,
+    RecentPoints,
+    TakenScan,
+    lidar_pose,
+    no_points,
+)
 from jaxplore.onboard.sent import SentCommands
 from jaxplore.onboard.tasks import Driver, DriveTask, Exploring
 from jaxplore.report.exploration.data import ExplorationFrame
@@ -35,8 +41,11 @@ class Pilot:
 
     The pilot keeps the map, calls the controller, and decides whether the robot may move. It reads
     no clock and knows no middleware: times come with the data, so a recorded drive is repeated
-    exactly. Call its methods in this order in each period: `add_odometry` and `add_scan` for what
-    has arrived, `command`, and after the command was sent `update_belief`. `update_belief` and
+    exactly. Clocks may jump, stop and differ (`DriveClock`, `Stamps`). After a jump the robot
+    brakes for a second, and what was measured before is forgotten, but not the map.
+
+    Call its methods in this order in each period: `add_odometry` and `add_scan` for what has
+    arrived, `command`, and after the command was sent `update_belief`. `update_belief` and
     `make_frame` may be called from another thread than the others.
 
     The state is predicted to the time when the command takes effect, from the commands on their
@@ -101,11 +110,13 @@ class Pilot:
         self._expected = np.asarray(scenario.start)
         self._sent = SentCommands(self.robot, self.options.latency)
         self._twist = np.zeros(3)
-        self._command_at = -math.inf
+        self._clock = DriveClock(self.period)
+        self._pose_stamps, self._scan_stamps = Stamps(self.period), Stamps(self.period)
         self._planned: tuple[float, np.ndarray] | None = None
-        self._new: TakenScan | None = None
+        # What has arrived since the last command, and the newest scan.
+        self._new: list[TakenScan] = []
         self._scan: TakenScan | None = None
-        self._points, self._seen = no_points(), (np.zeros((0, 2)), np.zeros(3))
+        self._points, self._seen = no_points(), RecentPoints()
         self._data = DataCheck(self.options, self._history)
         self._number = 0
         self.num_replaced = 0
@@ -146,48 +157,89 @@ class Pilot:
         shown = self.make_frame()
         jax.block_until_ready((planned, vars(shown)))  # type: ignore[no-untyped-call]
 
-    def add_odometry(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> None:
+    @property
+    def time(self) -> float:
+        """Time of the drive at the last command [s], which never goes back, see `DriveClock`."""
+        return self._clock.time
+
+    def add_odometry(
+        self,
+        stamp: float,
+        pose: np.ndarray,
+        twist: np.ndarray | None,
+        received: Instant | None = None,
+    ) -> None:
         """Take a pose and a velocity.
 
         Args:
-            time: time of the measurement [s].
+            stamp: time of the measurement [s].
             pose: (3,) pose (x, y, yaw) in a frame that is fixed in the world [m, m, rad].
             twist: (3,) velocity (vx, vy, omega) in the robot's frame; estimated when absent.
+            received: when it arrived; as `DriveClock.arrival` says when absent.
         """
+        time = self._pose_stamps.time_of(stamp, *self._clock.arrival(stamp, received))
+        if time is None:
+            return
+        # A pose that was ahead of its time is not newer than this one.
+        self._history.forget(after=time)
         problem = self._poses.add(time, pose, twist)
         if problem is not None:
             self._data.add_jump(time, problem)
 
-    def add_scan(self, time: float, scan: Scan, points: np.ndarray) -> None:
-        """Take a scan.
+    def add_scan(
+        self, stamp: float, scan: Scan, points: np.ndarray, received: Instant | None = None
+    ) -> None:
+        """Take a scan; one with a point that is not finite is left out.
 
         Args:
-            time: time of the scan [s].
+            stamp: time of the scan [s].
             scan: readings of the beams of the sensor.
             points: (N, 2) all valid returns in the frame of the robot [m].
+            received: when it arrived; as `DriveClock.arrival` says when absent.
         """
-        if self._scan is not None and time <= self._scan.time:
+        time = self._scan_stamps.time_of(stamp, *self._clock.arrival(stamp, received))
+        if time is None or not np.isfinite(points).all():
             return
         former = self._scan
         is_changed = former is None or not np.array_equal(former.points, points)
         self._data.add_scan(time, is_changed=is_changed)
-        self._scan = self._new = TakenScan(time, scan, points)
+        self._scan = TakenScan(time, scan, points)
+        # While the robot brakes, nobody takes them.
+        kept = [each for each in self._new if time - each.time <= CHECKED_SECONDS]
+        self._new = [*kept, self._scan]
 
-    def command(self, now: float) -> Command:
+    def command(self, now: float | Instant) -> Command:
         """Compute the command for a time.
 
         Args:
-            now: present time [s].
+            now: present time by the clock of the stamps [s], or by that and a steady one.
+
+        Raises:
+            ValueError: a time that is not finite.
         """
-        command = self._command(now)
+        passed = self._clock.advance(Instant.of(now))
+        if self._clock.jump is not None:
+            self._forget(self._clock.jump)
+        now = self._clock.time
+        command = self._command(now, self.period if self._clock.is_standing else passed)
         self.log.add_command(now, command.twist, str(command.mode), command.reason)
         return command
 
-    def _command(self, now: float) -> Command:
-        elapsed = now - self._command_at if math.isfinite(self._command_at) else self.period
-        self._command_at = now
+    def _forget(self, why: str) -> None:
+        """Forget what was measured recently, by a clock that has jumped, and brake."""
+        for stamps in (self._pose_stamps, self._scan_stamps):
+            stamps.forget()
+        self._history.forget()
+        self._data.forget()
+        self._scan, self._new = None, []
+        self._seen.forget()
+        self._data.add_jump(self._clock.time, why)
+
+    def _command(self, now: float, elapsed: float) -> Command:
         self._take_known()
         problem = self._data.problem(now, self._twist)
+        if self._clock.is_standing:
+            problem = "the simulated clock stands still"
         scan_time = None if problem else self._take_scan(now)
         # Scans are taken while they do not fit the map, so that the robot sees when they do again.
         if problem is None and self._mapper.is_misfit:
@@ -197,9 +249,8 @@ class Pilot:
         if not self.is_started:
             return self._stopping(now, elapsed, Mode.PAUSED, "paused")
         if problem is not None:
-            mode = (
-                Mode.WAITING if self._history.last is None or self._scan is None else Mode.BRAKING
-            )
+            is_blank = self._history.last is None or self._scan is None
+            mode = Mode.WAITING if is_blank and not self._twist.any() else Mode.BRAKING
             return self._stopping(now, elapsed, mode, problem)
         self._adapt()
         state = self._state(now)
@@ -233,36 +284,40 @@ class Pilot:
         )
         return Command(self._twist, Mode.DRIVING, reason, scan_time)
 
-    def next_command(self, now: float) -> Command:
+    def next_command(self, now: float | Instant) -> Command:
         """Return the next command of the last plan, where a new one is not ready in time.
 
         Args:
-            now: present time [s].
+            now: as of `command`.
         """
-        if self._planned is not None:
+        time = self._clock.time_at(Instant.of(now))
+        if self._planned is not None and time is not None:
             began, twists = self._planned
-            index = round((now - began) / self.period)
-            if 0 <= index < len(twists):
+            index = round((time - began) / self.period)
+            # No scan checks these commands, so they may not be older than one.
+            if 0 <= index < len(twists) and time - began <= self.options.max_age:
                 self._twist = twists[index]
                 return Command(self._twist, Mode.DRIVING, "a plan was late", None)
-        return self._stopping(now, self.period, Mode.BRAKING, "a plan was late")
+        return self._stopping(self.time, self.period, Mode.BRAKING, "a plan was late")
 
-    def update_belief(self, now: float) -> None:
+    def update_belief(self, now: float | Instant) -> None:
         """Map the newest scan, and update the information and guidance fields if they are due.
 
         The command that follows from a scan is checked against it, and does not wait for the map.
 
         Args:
-            now: present time [s].
+            now: as of `command`.
         """
+        time = self._clock.time_at(Instant.of(now))
         perception, last = self.task.perception, self._history.last
         self._mapper.map_scan(perception)
         if last is None or not self.task.has_fields:
             return
         pose = self._poses.placed(last.pose, self._mapper.correction)
-        cost = self._mapper.update_fields(perception, now, pose)
-        if cost is not None:
-            self.finish(self.task.update(now, cost, pose[:2], is_started=self.is_started))
+        # Where the clock has jumped since the command, the fields wait for the next one.
+        cost = None if time is None else self._mapper.update_fields(perception, time, pose)
+        if cost is not None and time is not None:
+            self.finish(self.task.update(time, cost, pose[:2], is_started=self.is_started))
 
     def finish(self, reason: str) -> None:
         """End the drive: the robot stops and stays.
@@ -322,10 +377,9 @@ class Pilot:
         self._place_points()
 
     def _place_points(self) -> None:
-        """Place the points of the newest scan in the map."""
-        points, reckoned = self._seen
-        pose = self._poses.corrected(reckoned, self._known.correction)
-        self._points = nearest_points(points, pose)
+        """Place the points of the recent scans in the map."""
+        pose = self._poses.corrected(self._seen.pose, self._known.correction)
+        self._points = self._seen.placed(pose)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         """Return the place in the map of a pose of the odometry, relative to its origin."""
@@ -338,13 +392,15 @@ class Pilot:
         return robot_state(self.robot, self._local(last.pose), last.twist, self._expected)
 
     def _take_scan(self, now: float) -> float | None:
-        """Take the points of the newest scan for the check; return its time if it is new."""
-        new, self._new = self._new, None
-        if new is None:
+        """Take the points of new scans for the check; return the time of the newest."""
+        scans, self._new = self._new, []
+        if not scans:
             return None
-        pose = self._poses.reckoned(self._history.at(new.time))
-        self._seen = new.points, pose
+        for each in scans:
+            pose = self._poses.reckoned(self._history.at(each.time))
+            self._seen.add(each.time, each.points, pose)
         self._place_points()
+        new = scans[-1]
         beams = lidar_pose(pose, self.options.lidar_x, self.options.lidar_y)
         self._mapper.add(new.time, new.scan, beams, now, self._poses.joint)
         return new.time

@@ -9,6 +9,9 @@ from jaxplore.sensing.beams import Scan
 
 NUM_POINTS = 720
 """Number of directions for each of which the nearest point of a scan is kept."""
+CHECKED_SECONDS = 0.3
+"""Time for which the points of a scan count beside those of a newer one [s]. A scan that somebody
+else sends between two of the lidar then takes no point away."""
 
 
 class TakenScan(NamedTuple):
@@ -53,6 +56,44 @@ def nearest_points(points: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np
     nearest[sector[order]] = turned[order]
     is_point[sector] = True
     return nearest, is_point
+
+
+class RecentPoints:
+    """The points of the newest scan, and of those that are at most `CHECKED_SECONDS` older.
+
+    Attributes:
+        pose: (3,) pose of the robot at the newest scan, without corrections [m, m, rad].
+    """
+
+    def __init__(self) -> None:
+        self.pose = np.zeros(3)
+        self._scans: list[tuple[float, np.ndarray]] = []
+
+    def forget(self) -> None:
+        """Forget all points."""
+        self._scans = []
+
+    def add(self, time: float, points: np.ndarray, pose: np.ndarray) -> None:
+        """Add the points of a scan.
+
+        Args:
+            time: time of the scan [s].
+            points: (N, 2) returns in the frame of the robot [m].
+            pose: (3,) pose of the robot at that time, without corrections [m, m, rad].
+        """
+        kept = [each for each in self._scans if time - each[0] <= CHECKED_SECONDS]
+        nearest, is_point = nearest_points(points, pose)
+        self._scans, self.pose = [*kept, (time, nearest[is_point])], pose
+
+    def placed(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what `nearest_points` does, of all scans.
+
+        Args:
+            pose: (3,) pose of the robot at the newest scan, with corrections [m, m, rad].
+        """
+        points = np.concatenate([np.zeros((0, 2)), *(each for _, each in self._scans)])
+        cos, sin = math.cos(self.pose[2]), math.sin(self.pose[2])
+        return nearest_points((points - self.pose[:2]) @ np.array([[cos, -sin], [sin, cos]]), pose)
 
 
 def lidar_pose(pose: np.ndarray, x: float, y: float) -> np.ndarray:

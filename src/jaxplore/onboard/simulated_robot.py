@@ -78,7 +78,7 @@ class SimulatedRobot:
         *,
         delay: float = 0.0,
         drift: float = 0.0,
-        watchdog: float = 0.5,
+        watchdog: float = 0.25,
     ) -> None:
         _kinds.instance("scenario", scenario, ExplorationScenario)
         _kinds.key("key", key)

@@ -24,6 +24,7 @@ from jaxplore.ros.drive_publisher import DrivePublisher
 from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
+from jaxplore.ros.pace import Pace
 from jaxplore.settings.node import NodeSettings
 from jaxplore.simulation.monitor import Monitor
 
@@ -98,7 +99,7 @@ class ControlNode:
         ros = link.ros
         self._lock = threading.Lock()
         self._poses: list[messages.Odometry] = []
-        self._scans: list[tuple[float, messages.LaserScan]] = []
+        self._scans: list[messages.LaserScan] = []
         self._orders: list[str] = []
         self._parameters: dict[str, float] = {}
         self._wake = threading.Event()
@@ -154,9 +155,9 @@ class ControlNode:
         self._publisher.rollout_colour = colour
         return result(successful=True)
 
-    def _take_scan(self, scan: messages.LaserScan, arrived: float) -> None:
+    def _take_scan(self, scan: messages.LaserScan) -> None:
         with self._lock:
-            self._scans.append((arrived, scan))
+            self._scans.append(scan)
         self._wake.set()
 
     def _take_pose(self, pose: messages.Odometry) -> None:
@@ -251,19 +252,19 @@ class ControlNode:
     def _drive(self, is_stopped: threading.Event) -> Command:
         """Send commands until the robot stands at the end; return the last one."""
         period = self.pilot.period
-        due = time.monotonic()
-        last, arrived, ends_by = due - period, None, math.inf
+        pace = Pace(period)
+        arrived, ends_by = None, math.inf
         while True:
             # A scan that came right after a command waits for a part of the period, not for all.
-            begin = due if arrived is None else min(due, last + LEAST_SHARE * period)
-            self._wake.wait(max(0.0, begin - time.monotonic()))
+            wanted = 1.0 if arrived is None else LEAST_SHARE
+            self._wake.wait(pace.wait_for(wanted, self.link.instant()))
             self._wake.clear()
-            now = time.monotonic()
             newest = self._take_messages()
             arrived = arrived if newest is None else newest
-            if now < due and (arrived is None or now - last < LEAST_SHARE * period):
+            if not pace.is_due(1.0 if arrived is None else LEAST_SHARE, self.link.instant()):
                 continue
-            last, due = now, now + period
+            now = time.monotonic()
+            pace.begin(self.link.instant())
             if is_stopped.is_set():
                 self.pilot.finish("stopped")
                 ends_by = min(ends_by, now + MOST_BRAKING)
@@ -298,14 +299,15 @@ class ControlNode:
         pilot = self.pilot
         for pose in poses:
             self._pose_frame = pose.frame or self._pose_frame
-            pilot.add_odometry(pose.time, pose.pose, pose.twist)
-        for _, scan in scans[-1:]:
-            pilot.add_scan(scan.time, scan.scan, scan.points)
+            pilot.add_odometry(pose.time, pose.pose, pose.twist, pose.received)
+        for scan in scans:
+            pilot.add_scan(scan.time, scan.scan, scan.points, scan.received)
         if parameters:
             pilot.controller = set_parameters(pilot.controller, parameters)
         for order in orders:
             self._obey(order)
-        return scans[-1][0] if scans else None
+        received = scans[-1].received if scans else None
+        return None if received is None else received.steady
 
     def _obey(self, order: str) -> None:
         pilot = self.pilot
@@ -313,20 +315,20 @@ class ControlNode:
         if order == "start":
             pilot.task.go_on()
         elif order == "return":
-            pilot.task.turn_back(self.link.now(), "told to return")
+            pilot.task.turn_back(pilot.time, "told to return")
         elif order == "stop":
             pilot.finish("stopped by command")
 
     def _next_command(self, deadline: float) -> Command:
         """Compute a command, or take the next one of the last plan at the deadline."""
         self.latencies.num_commands += 1
-        plan = self._worker.submit(self.pilot.command, self.link.now())
+        plan = self._worker.submit(self.pilot.command, self.link.instant())
         try:
             return plan.result(max(0.0, deadline - time.monotonic()))
         except concurrent.futures.TimeoutError:
             self.latencies.num_late += 1
             plan.cancel()
-            return self.pilot.next_command(self.link.now())
+            return self.pilot.next_command(self.link.instant())
 
     def _publish_command(self, command: Command) -> None:
         ros = self.link.ros
@@ -343,7 +345,7 @@ class ControlNode:
     def _between(self, command: Command) -> None:
         """Do what no command waits for: fields, maps, the plan and the state."""
         now, pilot = self.link.now(), self.pilot
-        pilot.update_belief(now)
+        pilot.update_belief(self.link.instant())
         if self._is_internal and pilot.pose is not None:
             self._publisher.publish_transform(now, self._frame_name, self._pose_frame)
         pilot.log.frames.add_when_due(pilot.log.num_steps * pilot.period, pilot.make_frame)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -62,18 +63,18 @@ class DrivePublisher:
         """Publish what is due; return whether the state was.
 
         Args:
-            now: present time [s].
+            now: time for the stamps [s].
             frame: name of the fixed frame.
             state: entries of the state.
         """
-        is_told = self._is_due("state", now, STATE_SECONDS)
+        is_told = self._is_due("state", STATE_SECONDS)
         if is_told:
             self.publish_state(state)
-        if self._is_due("map", now, MAP_SECONDS):
+        if self._is_due("map", MAP_SECONDS):
             self._publish_maps(now, frame)
         watched = [each for each in (self._plan, self._rollouts) if each is not None]
         if any(each.get_subscription_count() for each in watched) and self._is_due(
-            "plan", now, PLAN_SECONDS
+            "plan", PLAN_SECONDS
         ):
             self._publish_plan(now, frame)
         return is_told
@@ -110,7 +111,9 @@ class DrivePublisher:
         message.data = json.dumps(state)
         self._state.publish(message)
 
-    def _is_due(self, what: str, now: float, seconds: float) -> bool:
+    def _is_due(self, what: str, seconds: float) -> bool:
+        # The clock of ROS may go back, and then nothing would be due for long.
+        now = time.monotonic()
         if now - self._due[what] < seconds:
             return False
         self._due[what] = now

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.onboard.drive_clock import DriveClock, Stamps
 from jaxplore.onboard.goals import Goal, GoalChooser
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.inputs import subscribe_pose
@@ -73,15 +74,29 @@ class GoalNode:
         """
         without_goal_since = math.inf
         shown: Goal | None = None
+        clock, stamps = DriveClock(CHOICE_SECONDS), Stamps(CHOICE_SECONDS)
+        placed: messages.Odometry | None = None
+        placed_at = -math.inf
         while not is_stopped.wait(CHOICE_SECONDS):
-            now = self.link.now()
+            clock.advance(self.link.instant())
+            now = clock.time
+            if clock.jump is not None:
+                # The pose keeps its age: a robot that stands may publish no other.
+                stamps.forget()
+                self.link.warn("clock", clock.jump)
             with self._lock:
                 given, pose, frame = self._map, self._pose, self._frame
             if given is None or pose is None:
                 self._publish_state("waiting", "no map yet" if given is None else "no pose yet")
                 continue
-            if now - pose.time > MAX_AGE:
-                self.link.warn("pose", f"the pose is {now - pose.time:.1f} s old")
+            if pose is not placed:
+                found = stamps.time_of(pose.time, *clock.arrival(pose.time, pose.received))
+                placed, placed_at = pose, placed_at if found is None else found
+            if clock.is_standing:
+                self._publish_state("waiting", "the simulated clock stands still")
+                continue
+            if now - placed_at > MAX_AGE:
+                self.link.warn("pose", f"the pose is {now - placed_at:.1f} s old")
                 self._publish_state("waiting", "the pose is old")
                 continue
             if pose.frame != frame:
@@ -106,7 +121,7 @@ class GoalNode:
             if shown is None or not np.array_equal(goal.pose, shown.pose):
                 shown = goal
                 self.num_goals += 1
-                self._publish_goal(goal, now, frame)
+                self._publish_goal(goal, self.link.now(), frame)
             self._publish_state("driving", "")
         return "stopped"
 

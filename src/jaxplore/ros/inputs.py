@@ -1,6 +1,5 @@
 """What a node hears: poses of one frame, and scans of one lidar."""
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -46,7 +45,7 @@ def subscribe_pose(
     Args:
         link: connection to ROS 2.
         settings: topics and types.
-        take: function that takes each pose, with its time on this clock.
+        take: function that takes each pose, with its arrival.
 
     Raises:
         ValueError: transforms are asked for, and their package is missing.
@@ -56,14 +55,18 @@ def subscribe_pose(
     check = _FrameCheck(topic)
 
     def take_pose(message: Any) -> None:
+        received = link.instant()
         pose = messages.odometry_of(message)
         check(pose.frame)
-        take(pose._replace(time=link.stamp_of(topic, pose.time)))
+        link.warn_of_clock(topic, pose.time, received)
+        take(pose._replace(received=received))
 
     def take_transforms(message: Any) -> None:
+        received = link.instant()
         pose = messages.transform_of(message.transforms, *names)
         if pose is not None:
-            take(pose._replace(time=link.stamp_of("/tf", pose.time)))
+            link.warn_of_clock("/tf", pose.time, received)
+            take(pose._replace(received=received))
 
     if settings.pose_type == "tf":
         if ros.TFMessage is None:
@@ -82,7 +85,7 @@ def subscribe_scan(
     settings: NodeSettings,
     sensor: Beams,
     mount: Mount,
-    take: Callable[[messages.LaserScan, float], None],
+    take: Callable[[messages.LaserScan], None],
 ) -> None:
     """Subscribe to the lidar; messages that are malformed, or of another lidar, give a warning.
 
@@ -91,16 +94,16 @@ def subscribe_scan(
         settings: topics and types.
         sensor: sensor that the scans are for.
         mount: pose of the lidar on the robot.
-        take: function that takes each scan with its time on this clock, and the monotonic time at
-            which it arrived [s].
+        take: function that takes each scan, with its arrival.
     """
     topic = link.topic(settings.scan_topic)
     check = _FrameCheck(topic)
 
     def take_scan(message: Any) -> None:
-        arrived = time.monotonic()
+        received = link.instant()
         scan = messages.laser_scan_of(message, sensor, mount)
         check(scan.frame)
-        take(scan._replace(time=link.stamp_of(topic, scan.time)), arrived)
+        link.warn_of_clock(topic, scan.time, received)
+        take(scan._replace(received=received))
 
     link.subscribe(link.ros.LaserScan, topic, take_scan)

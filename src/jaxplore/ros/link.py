@@ -8,14 +8,13 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from jaxplore._text import printable
+from jaxplore.onboard.drive_clock import CLOCK_TOLERANCE, MAX_STEP, Instant
 from jaxplore.ros.packages import import_ros
 
 DISCOVERY_SECONDS, MOST_DISCOVERY_SECONDS = 1.5, 10.0
 """Least and greatest time after the connection in which other nodes are found [s]."""
 QUIET_SECONDS = 5.0
 """Least time between two warnings about the same thing [s]."""
-CLOCK_TOLERANCE = 1.0
-"""Greatest difference between a stamp and the clock; beyond it clocks are not synchronised [s]."""
 
 
 class Link:
@@ -63,22 +62,27 @@ class Link:
         """Return the time of the node's clock [s], simulated time if it uses that."""
         return float(self.node.get_clock().now().nanoseconds) * 1e-9
 
-    def stamp_of(self, name: str, stamped: float) -> float:
-        """Return the time of a message [s]: its stamp, or now where the clocks differ.
+    def instant(self) -> Instant:
+        """Return the present moment by the node's clock and by one that does not jump."""
+        is_simulated = bool(self.node.get_clock().ros_time_is_active)
+        return Instant(self.now(), time.monotonic(), is_simulated)
+
+    def warn_of_clock(self, name: str, stamped: float, at: Instant) -> None:
+        """Warn of a stamp that is not believed, see `onboard.drive_clock.Stamps`.
 
         Args:
-            name: name of the topic, for the warning.
+            name: name of the topic.
             stamped: time of the stamp [s].
+            at: when its message arrived.
         """
-        now = self.now()
-        if abs(now - stamped) <= CLOCK_TOLERANCE:
-            return stamped
-        self.warn(
-            f"clock of {name}",
-            f"the stamps of {name} differ by {stamped - now:.1f} s from this clock; the time of "
-            "arrival is used",
-        )
-        return now
+        ahead = stamped - at.clock
+        if not -CLOCK_TOLERANCE <= ahead <= MAX_STEP:
+            self.warn(
+                f"clock of {name}",
+                f"the stamps of {name} differ by {ahead:.1f} s from this clock; accepted: at most "
+                f"{CLOCK_TOLERANCE:g} s before it and {MAX_STEP:g} s after it; others count from "
+                "their arrival, unless they are later than before",
+            )
 
     def warn(self, kind: str, message: str) -> None:
         """Log a warning, at most one of a kind in some seconds."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxplore import _checks
+from jaxplore.onboard.drive_clock import Instant
 from jaxplore.sensing.beams import Beams, Scan
 
 MOST_READINGS = 100_000
@@ -30,12 +31,14 @@ class Odometry(NamedTuple):
         pose: (3,) pose (x, y, yaw) [m, m, rad].
         twist: (3,) velocity (vx, vy, omega) in the frame of the robot [m/s, m/s, rad/s]; None where
             the message has none.
+        received: when it arrived; None where nobody has noted it.
     """
 
     time: float
     frame: str
     pose: np.ndarray
     twist: np.ndarray | None
+    received: Instant | None = None
 
 
 class LaserScan(NamedTuple):
@@ -47,12 +50,14 @@ class LaserScan(NamedTuple):
         scan: the readings, one for each beam of the sensor.
         points: (N, 2) all valid returns in the frame of the robot [m], also of readings that no
             beam of the sensor has.
+        received: when it arrived; None where nobody has noted it.
     """
 
     time: float
     frame: str
     scan: Scan
     points: np.ndarray
+    received: Instant | None = None
 
 
 class Mount(NamedTuple):

@@ -4,11 +4,11 @@ import os
 from collections.abc import Callable
 from typing import NamedTuple
 
+from jaxplore.onboard.drive_clock import Instant
 from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.ros import messages
 from jaxplore.ros.bag import BagMessage, bag_topics, choose_topic, read_bag
-from jaxplore.ros.link import CLOCK_TOLERANCE
 from jaxplore.ros.messages import Mount
 
 POSES = ("Odometry", "PoseWithCovarianceStamped")
@@ -116,15 +116,11 @@ def replay(
 def _feed(
     pilot: Pilot, is_scan: bool, given: BagMessage, skipped: float, mount: Mount | None
 ) -> None:
-    """Give a message to the pilot, with the time of its stamp unless the clocks differ."""
-
-    def stamp(stamped: float) -> float:
-        time = stamped if abs(stamped - given.time) <= CLOCK_TOLERANCE else given.time
-        return time - skipped
-
+    """Give a message to the pilot, with its stamp and the time at which it was recorded."""
+    received = Instant(given.time - skipped)
     if is_scan:
         scan = messages.laser_scan_of(given.message, pilot.sensor, mount)
-        pilot.add_scan(stamp(scan.time), scan.scan, scan.points)
+        pilot.add_scan(scan.time - skipped, scan.scan, scan.points, received)
     else:
         place = messages.odometry_of(given.message)
-        pilot.add_odometry(stamp(place.time), place.pose, place.twist)
+        pilot.add_odometry(place.time - skipped, place.pose, place.twist, received)

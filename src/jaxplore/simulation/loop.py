@@ -56,13 +56,13 @@ def _judged(scenario: Scenario, state: LoopState, moment: Moment) -> Moment:
     """Return the moment with the judgement of the guard: a state that it does not trust is NaN."""
     if scenario.guard is None or state.guard is None:
         return moment
-    misfit = scenario.scan_points(state.task).misfit
     judged = scenario.guard.judge(
         scenario.robot,
         state.guard,
         moment.observed,
         state.observed,
-        misfit,
+        scenario.scan_points(state.task),
+        moment.time,
         scenario.control_period,
     )
     observed = jnp.where(judged.stop == GOOD, moment.observed, jnp.nan)

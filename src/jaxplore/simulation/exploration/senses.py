@@ -12,7 +12,7 @@ from jaxplore._types import Count, Flag, GridMask, Key, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception
-from jaxplore.control.guard import MISFIT, ScanPoints
+from jaxplore.control.guard import BLIND, MISFIT, ScanPoints
 from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -205,7 +205,10 @@ class Senses(NamedTuple):
             measured, expected = (
                 self.robot.pose(each) for each in (moment.measured, guard.expected)
             )
-            points = scan_points(state.belief, self.sensors, scans, measured, expected)
+            points = scan_points(
+                *(state.belief, self.sensors, scans, measured, expected),
+                *(moment.time, period * self.steps_per_scan.astype(jnp.float32)),
+            )
             ranges, is_return = (jnp.concatenate(each) for each in zip(*scans, strict=True))
             return points, ranges, is_return
 
@@ -229,6 +232,8 @@ class Senses(NamedTuple):
             is_changed = (guard.stop == MISFIT) & (guard.since > RETRY_SECONDS)
             is_fit = (found.misfit <= MAX_MISFIT) | is_changed
             assert moment.measured is not None
+            # The scan that ends a dropout is mapped at once.
+            is_changed |= guard.stop == BLIND
             pose = jnp.where(is_changed, self.robot.pose(moment.measured), pose)
             is_placed = jnp.isfinite(pose).all()
 

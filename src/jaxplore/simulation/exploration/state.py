@@ -102,7 +102,7 @@ def initial_state(
         is_seen=jnp.zeros(num_targets, bool),
         moving_obstacles=moving,
         ranges=jnp.asarray(max_ranges(sensors)),
-        points=ScanPoints.blank(number) if is_guarded else None,
+        points=ScanPoints.blank(number, 0.0) if is_guarded else None,
         wheels=Wheels.at_rest() if can_tip else None,
         located=located,
     )
