@@ -76,12 +76,7 @@ FULL = Sizes()
 SMOKE = Sizes(
     {
         "world": {**three_zones().to_dict(), "resolution": 0.2},
-        "lidar": {
-            "num_beams": 36,
-            "max_range": 3.0,
-            "field_of_view_degrees": 360.0,
-            "range_noise": 0.0,
-        },
+        "lidar": {"num_beams": 36, "max_range": 3.0, "range_noise": 0.0},
         "fields": {"num_directions": 8},
         "rates": {"control": 20.0, "sensing": 10.0, "fields": 5.0},
         "informative": {

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplore.control.base import Controller
+from jaxplore.simulation.chunks import CHUNK_SECONDS
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.scenario import Scenario
 
@@ -73,10 +74,6 @@ def timed(
     return Timed(first, seconds)
 
 
-LEAST_CAPACITY = 25
-"""Steps for which the records of `simulate` have room at 50 Hz."""
-
-
 class TimedLoop:
     """A closed loop that runs on, some steps at a time, and says how long they took.
 
@@ -93,7 +90,7 @@ class TimedLoop:
         self.controller = controller.at_period(scenario.control_period)
         self.scenario, self.key, self.chunk = scenario, key, chunk
         # A few steps at a time run the very program of `simulate`.
-        self._capacity = max(chunk, LEAST_CAPACITY)
+        self._capacity = max(chunk, round(CHUNK_SECONDS / float(scenario.period)))
         self.state = copied(initial_loop_state(self.controller, scenario, key))
 
     def run(self, count: int) -> float:

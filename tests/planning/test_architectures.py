@@ -2,6 +2,7 @@
 they explore."""
 
 import dataclasses
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -42,7 +43,7 @@ CHUNK, PERIOD = 50, 0.05
 WORLD = dataclasses.replace(three_zones(), resolution=0.2)
 ROBOT = Quadrotor()
 MODEL = InverseSensorModel.line_of_sight()
-LIDAR = Lidar(36, 3.0, range_noise=0.0)
+LIDAR = Lidar(36, 3.0, math.pi / 2.0, range_noise=0.0)
 FLIGHT = Flight(horizon=10, num_samples=64, noise_std=(2.0, 1.0, 1.0, 1.0))
 FIELDS = FieldNumbers(
     field_beams=4,
