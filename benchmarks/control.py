@@ -1,10 +1,9 @@
 """The controller: against its peers, how it grows, its parts, two devices, a long run."""
 
-import json
 import math
 import os
-import sys
 import time
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +26,7 @@ from benchmarks.control_problems import (
     timed_step,
 )
 from benchmarks.tables import Rows
-from benchmarks.timing import Timed, in_own_processes, percentiles, timed
+from benchmarks.timing import Timed, measure_cases, percentiles, timed
 from jaxplore import (
     MPPI,
     RK4,
@@ -50,7 +49,8 @@ from jaxplore.control import (
 
 
 class Sizes(NamedTuple):
-    """Samples, horizons and runs of the tables."""
+    """Samples, horizons and runs of the tables; the integrator of the models, of which Euler's has
+    a fourth of the operations; and how many variants a table has, at most."""
 
     samples: int = 1000
     horizon: int = 40
@@ -66,6 +66,8 @@ class Sizes(NamedTuple):
     runs: int = 200
     variants: tuple[str, ...] = ("plain", "smooth", "kernel")
     endurance_steps: int = 100_000
+    is_euler: bool = False
+    most: int | None = None
 
 
 FULL = Sizes()
@@ -84,6 +86,8 @@ SMOKE = Sizes(
     runs=4,
     variants=("plain",),
     endurance_steps=20,
+    is_euler=True,
+    most=2,
 )
 TITLES = {
     "peers": "A command, and its peers'",
@@ -100,8 +104,9 @@ TITLES = {
 
 def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the tables."""
-    on_maps = [map_problem(k, sizes.map_horizon, sizes.cell) for k in sizes.map_samples]
-    quadrotor = quadrotor_problem(sizes.samples, sizes.horizon)
+    map_sizes = sizes.map_horizon, sizes.cell, sizes.is_euler
+    on_maps = [map_problem(k, *map_sizes) for k in sizes.map_samples]
+    quadrotor = quadrotor_problem(sizes.samples, sizes.horizon, sizes.is_euler)
     return {
         "peers": control_peers.measure(quadrotor, on_maps, sizes.variants, sizes.runs),
         "on_a_map": _on_a_map(on_maps, sizes),
@@ -131,7 +136,7 @@ def _on_a_map(problems: list[Problem], sizes: Sizes) -> Rows:
             },
             "RK4": {"integrator": RK4()},
         }
-        for name, changes in variants.items():
+        for name, changes in islice(variants.items(), sizes.most):
             took = timed_step(build(problem, **changes), problem["start"], sizes.runs)
             samples, horizon = problem["num_samples"], problem["horizon"]
             rows.append(
@@ -146,7 +151,7 @@ def _growth(sizes: Sizes) -> Rows:
     with_more = [(samples, sizes.horizon) for samples in sizes.grown_samples]
     longer = [(sizes.power_of_two, horizon) for horizon in sizes.grown_horizons]
     for samples, horizon in with_more + longer:
-        problem = quadrotor_problem(samples, horizon)
+        problem = quadrotor_problem(samples, horizon, sizes.is_euler)
         took = timed_step(build(problem), problem["start"], sizes.runs // 2)
         rows.append(_growth_row(f"K = {samples}, T = {horizon}", took, samples, horizon))
     return rows
@@ -183,16 +188,17 @@ def _fleet(problem: Problem, sizes: Sizes) -> Rows:
 
 def _noise(sizes: Sizes) -> Rows:
     """A command with noise from each source; K is a power of two, as Sobol points want it."""
-    problem = quadrotor_problem(sizes.power_of_two, sizes.horizon)
+    problem = quadrotor_problem(sizes.power_of_two, sizes.horizon, sizes.is_euler)
     shape = (problem["horizon"], len(problem["noise_std"]), problem["num_samples"])
-    rows = []
-    for name, noise in {
+    variants = {
         "white": WhiteNoise(),
         "antithetic": AntitheticNoise(),
         "coloured, exponent 1": ColouredNoise(1.0),
         "Sobol": SobolNoise(),
         "bank": NoiseBank(key=KEY),
-    }.items():
+    }
+    rows = []
+    for name, noise in islice(variants.items(), sizes.most):
         proposal = GaussianProposal(problem["noise_std"], noise=noise)
         took = timed_step(build(problem, proposal=proposal), problem["start"], sizes.runs)
         drawn = timed(lambda source, key: source.draw(shape, key=key), noise, KEY, runs=sizes.runs)
@@ -212,7 +218,7 @@ def _weighting(problem: Problem, sizes: Sizes) -> Rows:
         "elite": {"weighting": Elite()},
         "elite and adapting covariance (CEM)": {"weighting": Elite(), "proposal": adapting},
     }
-    for name, changes in variants.items():
+    for name, changes in islice(variants.items(), sizes.most):
         took = timed_step(build(problem, **changes), problem["start"], sizes.runs)
         rows.append({"": name, **took.row()})
     return rows
@@ -264,18 +270,19 @@ def _feedback(problem: Problem, sizes: Sizes) -> Rows:
 def _devices(sizes: Sizes) -> Rows:
     """Samples spread over two CPU devices, in a process that has them, and in one as it comes."""
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
-    cases = [(samples, sizes.horizon, sizes.runs // 4) for samples in sizes.device_samples]
-    rows = in_own_processes(__spec__.name, cases, {"XLA_FLAGS": flags})
-    for row, (samples, horizon, runs) in zip(rows, cases, strict=True):
-        problem = quadrotor_problem(samples, horizon)
+    horizon, is_euler, runs = sizes.horizon, sizes.is_euler, sizes.runs // 4
+    cases = [(samples, horizon, is_euler, runs) for samples in sizes.device_samples]
+    rows = measure_cases(_over_devices, cases, environment={"XLA_FLAGS": flags})
+    for row, samples in zip(rows, sizes.device_samples, strict=True):
+        problem = quadrotor_problem(samples, horizon, is_euler)
         took = timed_step(build(problem), problem["start"], runs)
         row["process_of_one_device_ms"] = took.p50_ms
     return rows
 
 
-def _over_devices(samples: int, horizon: int, runs: int) -> dict[str, Any]:
+def _over_devices(samples: int, horizon: int, is_euler: bool, runs: int) -> dict[str, Any]:
     mesh = Mesh(np.asarray(jax.devices()), ("samples",))
-    problem = quadrotor_problem(samples, horizon)
+    problem = quadrotor_problem(samples, horizon, is_euler)
     start = problem["start"]
     one, spread = build(problem), build(problem, mesh=mesh)
     taken: dict[str, list[float]] = {"one": [], "all": []}
@@ -349,7 +356,3 @@ def _resident_mb() -> float:
     """Return the resident memory of this process, as Linux counts it [MB]."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-if __name__ == "__main__":
-    print(json.dumps(_over_devices(*map(int, sys.argv[1:]))))

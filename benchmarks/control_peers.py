@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -138,12 +139,17 @@ def _commands(problem: Path, variant: str) -> dict[str, list[str]]:
 
 
 def run_peer(command: list[str], folder: str) -> dict[str, Any] | None:
-    """Run a peer on a problem; None where it is not set up."""
+    """Run a peer on a problem; None where it is not set up, or fails, which is told."""
     if not Path(command[0]).exists():
         return None
     # What torch compiles is not kept: first calls are what they are for a newcomer.
     environment = {**os.environ, "TORCHINDUCTOR_CACHE_DIR": str(Path(folder) / "inductor")}
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment)
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False, env=environment)
+    if done.returncode != 0:
+        # Hours of other measurements are not lost because of it; its traceback is above.
+        name = Path(command[1]).name
+        print(f"Without {name}: it ended with status {done.returncode}", file=sys.stderr)
+        return None
     result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return result
 

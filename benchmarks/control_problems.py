@@ -15,6 +15,7 @@ from jaxplore import (
     Cost,
     DifferentialDrive,
     Dynamics,
+    Euler,
     GaussianProposal,
     Integrator,
     Knots,
@@ -64,7 +65,9 @@ class OnMap(Cost):
         return self.field(position) + jnp.sqrt(x * x + y * y)
 
 
-def quadrotor_problem(num_samples: int = 1000, horizon: int = 40) -> Problem:
+def quadrotor_problem(
+    num_samples: int = 1000, horizon: int = 40, is_euler: bool = False
+) -> Problem:
     """A quadrotor flies to a point in the open."""
     model = Quadrotor()
     probe = np.tile([10.0, 0.3, -0.2, 0.1], (horizon, 1))
@@ -74,11 +77,13 @@ def quadrotor_problem(num_samples: int = 1000, horizon: int = 40) -> Problem:
         "noise_std": [2.0, 0.5, 0.5, 0.5],
         "probe": probe,
         "dt": 0.05,
-        **_shared(model, num_samples, horizon),
+        **_shared(model, num_samples, horizon, is_euler),
     }
 
 
-def map_problem(num_samples: int, horizon: int = 100, cell: float = 0.05) -> Problem:
+def map_problem(
+    num_samples: int, horizon: int = 100, cell: float = 0.05, is_euler: bool = False
+) -> Problem:
     """A robot among the walls and the furniture of an office, 20 x 20 m."""
     world = office(seed=5, width=20.0, height=20.0, resolution=cell)
     clearance = clearance_field(~world.is_free, world.frame, 1.0)
@@ -92,12 +97,13 @@ def map_problem(num_samples: int, horizon: int = 100, cell: float = 0.05) -> Pro
         "cost_map": 10.0 * jnp.exp(-clearance.values / 0.2),
         "resolution": world.resolution,
         "origin": world.frame.origin[:2],
-        **_shared(model, num_samples, horizon),
+        **_shared(model, num_samples, horizon, is_euler),
     }
 
 
-def _shared(model: Dynamics, num_samples: int, horizon: int) -> Problem:
+def _shared(model: Dynamics, num_samples: int, horizon: int, is_euler: bool) -> Problem:
     return {
+        "is_euler": is_euler,
         "control_min": model.control_min,
         "control_max": model.control_max,
         "default_control": model.default_control,
@@ -118,11 +124,12 @@ def build(
     **changes: Any,
 ) -> MPPI:
     """Return our controller of a problem: plain, smooth or kernel, with parts changed."""
-    model: Dynamics = Quadrotor()
+    integrator = integrator or (Euler() if problem["is_euler"] else RK4())
+    model: Dynamics = Quadrotor(integrator=integrator)
     goal = jnp.asarray(problem["goal"])
     cost: Cost = ToGoal(goal)
     if "cost_map" in problem:
-        model = DifferentialDrive(integrator=integrator or RK4())
+        model = DifferentialDrive(integrator=integrator)
         frame = GridFrame(problem["resolution"], (*map(float, problem["origin"]), 0.0))
         field = ScalarField(problem["cost_map"], frame, jnp.max(problem["cost_map"]))
         cost = OnMap(field, goal)

@@ -31,11 +31,17 @@ from jaxplore.information.trajectory import METHODS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
-RESOLUTION, RANGE, DIRECTIONS = 0.1, 5.0, 32
+RESOLUTION, RANGE = 0.1, 5.0
+NOISES = {
+    "noise-free": None,
+    "Gaussian 0.15 m, to 3 sigma": GaussianNoise(0.15, 3.0),
+    "Gaussian 0.15 m, exact": GaussianNoise(0.15),
+}
 
 
 class Sizes(NamedTuple):
-    """The office, its window [cells], the scans of the exploration, and what is computed on it."""
+    """The office, its window [cells], the exploration with its scans and its lidar, and what is
+    computed on it."""
 
     width: float = 20.0
     height: float = 20.0
@@ -43,6 +49,10 @@ class Sizes(NamedTuple):
     window: int = 100
     scans: int = 300
     controller: dict[str, Any] = {}  # noqa: RUF012
+    lidar: dict[str, Any] = {"max_range": RANGE}  # noqa: RUF012
+    capacity: int = 50
+    """Steps for which a call of the exploration's loop has room."""
+    noises: tuple[str, ...] = tuple(NOISES)
     beams: int = 12
     reach: float = 10.0
     directions: int = 64
@@ -52,6 +62,7 @@ class Sizes(NamedTuple):
     maps: tuple[int, ...] = (250, 500, 1000, 2000)
     """Maps whose range is half a side."""
     poses: int = 50
+    methods: tuple[str, ...] = METHODS
     runs: int = 50
 
 
@@ -62,14 +73,19 @@ SMOKE = Sizes(
     position=(4.0, 3.5),
     window=40,
     scans=6,
-    controller={"num_samples": 8, "horizon": 4},
+    # The loop of `benchmarks.setting.SMALL`.
+    controller={"num_samples": 64},
+    lidar={"num_beams": 90, "max_range": 4.0},
+    capacity=25,
+    noises=("noise-free",),
     beams=4,
     reach=2.0,
     directions=4,
-    ranges=(8,),
+    ranges=(10,),
     ranged=20,
     maps=(20,),
     poses=4,
+    methods=METHODS[:1],
     runs=3,
 )
 TITLES = {
@@ -93,7 +109,7 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
         "local_field": _local_field(grid, position, peer, sizes),
         "fields": _fields(beliefs, position, sizes),
         "growth": _growth(sizes),
-        "trajectories": _trajectories(grid, path, peer, sizes.runs),
+        "trajectories": _trajectories(grid, path, peer, sizes),
     }
 
 
@@ -102,7 +118,7 @@ def _exploration(sizes: Sizes) -> list[OccupancyGrid]:
     world = office(seed=5, width=sizes.width, height=sizes.height, resolution=RESOLUTION)
     robot = DifferentialDrive()
     scenario = ExplorationScenario(
-        world, robot, Lidar(max_range=RANGE, range_noise=0.02), start=start_pose(world)
+        world, robot, Lidar(**sizes.lidar, range_noise=0.02), start=start_pose(world)
     )
     controller = explorer(robot, **sizes.controller).at_period(scenario.control_period)
     key = jax.random.key(0)
@@ -110,7 +126,8 @@ def _exploration(sizes: Sizes) -> list[OccupancyGrid]:
     beliefs = []
     for _ in range(sizes.scans):
         # Scans come at 10 Hz, controls at 50 Hz.
-        state, _, _ = run_chunk((controller, scenario, key, jnp.asarray(5)), copied(state), 50)
+        given = controller, scenario, key, jnp.asarray(5, jnp.int32)
+        state, _, _ = run_chunk(given, copied(state), sizes.capacity)
         beliefs.append(state.task.belief.grid)
     return beliefs
 
@@ -120,14 +137,9 @@ def _local_field(
 ) -> Rows:
     """3200 poses of beams over 90 degrees."""
     lidar, sensor = Lidar(sizes.beams, sizes.reach, math.pi / 2.0), InverseSensorModel.from_odds()
-    variants = {
-        "noise-free": None,
-        "Gaussian 0.15 m, to 3 sigma": GaussianNoise(0.15, 3.0),
-        "Gaussian 0.15 m, exact": GaussianNoise(0.15),
-    }
     rows = []
-    for name, noise in variants.items():
-        pose = PoseInformation(lidar, sensor, noise=noise)
+    for name in sizes.noises:
+        pose = PoseInformation(lidar, sensor, noise=NOISES[name])
         fast = LocalFieldSensor(pose, grid.resolution)
         found = eqx.filter_jit(fast.field)(grid, position)
         nodes = jnp.stack(jnp.meshgrid(jnp.arange(20), jnp.arange(20), indexing="ij"), axis=-1)
@@ -164,7 +176,7 @@ def _correlation(
 
 def _fields(beliefs: list[OccupancyGrid], position: jax.Array, sizes: Sizes) -> Rows:
     """Whole fields, windows and updates after each scan, at 5 m."""
-    model, lidar = InverseSensorModel(), Lidar(max_range=RANGE, range_noise=0.02)
+    model, lidar = InverseSensorModel(), Lidar(**sizes.lidar, range_noise=0.02)
     grid = beliefs[len(beliefs) // 3]
     window = [_cut(belief, sizes.window) for belief in beliefs]
     rows = []
@@ -276,12 +288,12 @@ def _growth(sizes: Sizes) -> Rows:
 
 
 def _trajectories(
-    grid: OccupancyGrid, path: jax.Array, peer: dict[str, Any] | None, runs: int
+    grid: OccupancyGrid, path: jax.Array, peer: dict[str, Any] | None, sizes: Sizes
 ) -> Rows:
     """Poses of 16 beams over 90 degrees and 5 m."""
     pose, rows = PoseInformation(Lidar(16, 5.0, math.pi / 2.0)), []
-    for method in METHODS:
-        took = timed(TrajectoryInformation(pose, method), grid, path[:, :2], runs=2 * runs)
+    for method in sizes.methods:
+        took = timed(TrajectoryInformation(pose, method), grid, path[:, :2], runs=2 * sizes.runs)
         theirs = None if peer is None else peer["trajectory_ms"].get(method)
         rows.append({"": method, **took.row(), "jax_mppi_ms": theirs})
     return rows

@@ -29,7 +29,6 @@ world; nothing checks collisions; no distances to obstacles, no guidance through
 no coverage are computed; its progress bar is off.
 """
 
-import json
 import sys
 import tempfile
 import time
@@ -44,8 +43,9 @@ import numpy as np
 
 from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.tables import Rows
-from benchmarks.timing import in_own_processes, percentiles, timed
+from benchmarks.timing import measure_cases, percentiles, timed
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.maps.world import three_zones
 from jaxplore.planning import InformativeMPPI, ReferenceStart
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 from jaxplore.simulation.state import LoopState
@@ -56,8 +56,9 @@ LONGEST_FLIGHT = 500
 
 
 class Sizes(NamedTuple):
-    """Changes of the settings, turns and their steps, calls of a part, and the architectures of
-    which the compilation is timed."""
+    """Changes of the settings, turns and their steps, steps of a flight before its parts are timed,
+    calls of a part, the architectures of which the compilation is timed and whether each has a
+    process, and steps for which a call of the loop has room."""
 
     changes: Mapping[str, Any] = {}
     architectures: tuple[str, ...] = ARCHITECTURES
@@ -66,12 +67,30 @@ class Sizes(NamedTuple):
     flown: int = 100
     runs: int = 200
     compiled: tuple[str, ...] = ARCHITECTURES
+    are_apart: bool = True
+    capacity: int = CHUNK
 
 
 FULL = Sizes()
+# The loop of `tests/planning/test_architectures.py`, which the suite compiles anyway.
 SMOKE = Sizes(
     {
-        "informative": {"num_samples": 8, "horizon": 4, "field_beams": 4, "local_beams": 4},
+        "world": {**three_zones().to_dict(), "resolution": 0.2},
+        "lidar": {"num_beams": 36, "max_range": 3.0, "range_noise": 0.0},
+        "fields": {"num_directions": 8},
+        "rates": {"control": 20.0, "sensing": 10.0, "fields": 5.0},
+        "informative": {
+            "num_samples": 64,
+            "horizon": 10,
+            "field_beams": 4,
+            "field_range": 3.0,
+            "field_noise": 0.0,
+            "field_spacing": 0.8,
+            "field_extent": 3.2,
+            "local_beams": 4,
+            "local_range": 1.5,
+        },
+        "guard": False,
         "time_limit": 0.5,
     },
     architectures=("two-layer",),
@@ -79,7 +98,9 @@ SMOKE = Sizes(
     steps=CHUNK,
     flown=0,
     runs=3,
-    compiled=(),
+    compiled=("two-layer",),
+    are_apart=False,
+    capacity=50,
 )
 TITLES = {
     "loop": "Informative MPPI, a control step of the closed loop: K = 1000, T = 40",
@@ -92,9 +113,12 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of both architectures and of the peer, and ratios."""
     # Programs are compiled anew: what an earlier run has left on the disk does not count.
     uncached = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
-    compiled = in_own_processes(__spec__.name, [[name] for name in sizes.compiled], uncached)
+    cases = [(name, sizes.changes, sizes.capacity) for name in sizes.compiled]
+    compiled = measure_cases(
+        measure_compilation, cases, are_apart=sizes.are_apart, environment=uncached
+    )
     spent = {row["architecture"]: row["compile_seconds"] for row in compiled}
-    loops = {name: _Loop(name, sizes.changes, sizes.steps) for name in sizes.architectures}
+    loops = {name: _Loop(name, sizes) for name in sizes.architectures}
     with tempfile.TemporaryDirectory() as folder:
         about, theirs = _take_turns(loops, Path(folder), sizes)
     rows = [
@@ -163,10 +187,10 @@ class _Times:
 class _Loop:
     """The closed loop of an architecture."""
 
-    def __init__(self, architecture: str, changes: Mapping[str, Any], steps: int) -> None:
-        made = _experiment(architecture, changes)
+    def __init__(self, architecture: str, sizes: Sizes) -> None:
+        made = _experiment(architecture, sizes.changes)
         self.controller, self.scenario, self.num_steps, self.key = made
-        self.steps = steps
+        self.steps, self.capacity = sizes.steps, sizes.capacity
         self.every = int(self.scenario.steps_per_field)
         self.times, self.flights = _Times(), 0
         self._chunk(self.begin(), self.key, 0)
@@ -218,7 +242,7 @@ class _Loop:
         count = jnp.asarray(size)
         jax.block_until_ready((state, key, count))  # type: ignore[no-untyped-call]
         began = time.perf_counter()
-        result = run_chunk((self.controller, self.scenario, key, count), state, CHUNK)
+        result = run_chunk((self.controller, self.scenario, key, count), state, self.capacity)
         jax.block_until_ready(result)  # type: ignore[no-untyped-call]
         return result[0], time.perf_counter() - began, int(result[2])
 
@@ -285,16 +309,13 @@ def _ratios(*rows: dict[str, Any]) -> Rows:
     ]
 
 
-def _compile_seconds(architecture: str) -> float:
+def measure_compilation(
+    architecture: str, changes: Mapping[str, Any], capacity: int
+) -> dict[str, Any]:
     """Return what a new process takes until the loop is ready for its first step [s]."""
-    controller, scenario, _, key = _experiment(architecture, {})
+    controller, scenario, _, key = _experiment(architecture, changes)
     jax.block_until_ready((controller, scenario, key))  # type: ignore[no-untyped-call]
     began = time.perf_counter()
     state, program = initial_loop_state(controller, scenario, key), cast(Any, run_chunk)
-    program.lower((controller, scenario, key, jnp.asarray(0)), state, CHUNK).compile()
-    return time.perf_counter() - began
-
-
-if __name__ == "__main__":
-    of = {"architecture": sys.argv[1], "compile_seconds": _compile_seconds(sys.argv[1])}
-    print(json.dumps(of))
+    program.lower((controller, scenario, key, jnp.asarray(0)), state, capacity).compile()
+    return {"architecture": architecture, "compile_seconds": time.perf_counter() - began}

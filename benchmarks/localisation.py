@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.setting import SMALL, available_maps
+from benchmarks.setting import available_maps
 from benchmarks.tables import Rows, table
 from benchmarks.timing import TimedLoop, timed
 from jaxplore.build.tasks import build, make_settings
@@ -44,7 +44,20 @@ class Sizes(NamedTuple):
 
 
 FULL = Sizes()
-SMOKE = Sizes("office", SMALL, 10, (20,), 3)
+# The loop of `tests/test_kinds.py`, which the suite compiles anyway.
+SMOKE = Sizes(
+    "office",
+    {
+        "office": {"width": 9.0, "height": 8.0},
+        "lidar": {"num_beams": 72},
+        "controller": {"num_samples": 64, "horizon": 20},
+        "variation": {"gain": [0.9, 1.1]},
+        "faults": {"scan_dropout": [0.4, 0.6]},
+    },
+    10,
+    (20,),
+    3,
+)
 TITLES = {"parts": "Parts of a localisation, scans of 360 beams"}
 
 

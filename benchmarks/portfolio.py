@@ -47,6 +47,13 @@ PLACES: dict[str, dict[str, Any]] = {
     },
     "search-rescue": {},
     "perimeter": {},
+    "small office": {
+        "map": "office",
+        "office": {"width": 8.0, "height": 7.0},
+        "architecture": "portfolio",
+        "lidar": {"num_beams": 60, "max_range": 4.0},
+        "guard": False,
+    },
     "nav2_depot to goal": {
         "map": str(MAPS / "nav2_depot" / "depot.yaml"),
         "start": [4.62, 7.73, 0.0],

@@ -10,12 +10,10 @@ from benchmarks.timing import TimedLoop, percentiles, timed
 from jaxplore.planning.presets.ground_vehicle import ROLE_WEIGHTS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
-CHUNK = 50
-
 
 class Sizes(NamedTuple):
     """Numbers of members, samples and horizon of each, steps, the number of members whose parts are
-    timed, and timed calls."""
+    timed, timed calls, the place, and steps of a chunk."""
 
     counts: tuple[int, ...] = (1, 2, 4, 8)
     samples: int = 1000
@@ -23,10 +21,13 @@ class Sizes(NamedTuple):
     steps: int = 2000
     parts_of: int = 4
     runs: int = 200
+    place: str = "warehouse"
+    chunk: int = 50
 
 
 FULL = Sizes()
-SMOKE = Sizes((1,), 8, 4, 0, 1, 3)
+# The loop of the document on ground vehicles, which the suite compiles anyway.
+SMOKE = Sizes((4,), 32, 30, 0, 4, 3, "small office", 4)
 TITLES = {
     "members": "A portfolio's step in the warehouse by members: K = 1000, T = 30, 360 beams",
     "parts": "The same, part by part, four members",
@@ -35,37 +36,44 @@ TITLES = {
 
 def measure(sizes: Sizes) -> dict[str, Rows]:
     """Return the times of the warehouse's step."""
-    loops = {count: loop_of(count, sizes.samples, sizes.horizon) for count in sizes.counts}
-    members = _members(loops, sizes.steps)
+    loops = {
+        count: loop_of(count, sizes.samples, sizes.horizon, sizes.place, sizes.chunk)
+        for count in sizes.counts
+    }
+    members = _members(loops, sizes.steps, sizes.chunk)
     return {"members": members, "parts": _parts(loops[sizes.parts_of], sizes.runs)}
 
 
-def loop_of(count: int, samples: int, horizon: int) -> TimedLoop:
-    """Return the closed loop of a portfolio in the warehouse.
+def loop_of(
+    count: int, samples: int, horizon: int, place: str = "warehouse", chunk: int = CHUNK
+) -> TimedLoop:
+    """Return the closed loop of a portfolio.
 
     Args:
         count: number of members.
         samples: number of samples of each.
         horizon: steps of each rollout.
+        place: where it is.
+        chunk: steps for which a call has room.
     """
     weights = {f"{ROLES[n % 4]} {n}": _weights(ROLES[n % 4]) for n in range(count)}
     changes = {"num_samples": samples, "horizon": horizon}
-    made = experiment("warehouse", {"weights": weights, **changes})
-    return TimedLoop(made.controller, made.scenario, made.key, CHUNK)
+    made = experiment(place, {"weights": weights, **changes})
+    return TimedLoop(made.controller, made.scenario, made.key, chunk)
 
 
-def _members(loops: dict[int, TimedLoop], steps: int) -> Rows:
+def _members(loops: dict[int, TimedLoop], steps: int, chunk: int) -> Rows:
     """Return times of the step, everything in it, by number of members.
 
     The numbers take turns, so that all see the same noise of the machine.
     """
     seconds: dict[int, list[float]] = {count: [] for count in loops}
-    for _ in range(-(-steps // CHUNK) + 1):
+    for _ in range(-(-steps // chunk) + 1):
         for count, loop in loops.items():
-            seconds[count].extend(loop.run(1) for _ in range(CHUNK))
+            seconds[count].extend(loop.run(1) for _ in range(chunk))
     # The first chunk warms up, unless it is all there is.
     rows = [
-        {"members": count, **percentiles(times[CHUNK:] or times)}
+        {"members": count, **percentiles(times[chunk:] or times)}
         for count, times in seconds.items()
     ]
     first = rows[0]["p50_ms"]
@@ -95,13 +103,8 @@ def _parts(loop: TimedLoop, runs: int) -> Rows:
             scan,
             pose,
         ),
-        "fields": (
-            lambda p, b, at, t: p.update_fields(b, at, t),
-            scenario.perception,
-            belief,
-            pose,
-            elapsed,
-        ),
+        # As in `benchmarks.control_step`, of which it is the same program where sizes are equal.
+        "fields": (scenario.perception.update_fields, belief, pose, elapsed),
     }
     return [{"": name, **timed(*call, runs=runs).row()} for name, call in calls.items()]
 

@@ -34,18 +34,25 @@ COMMAND = [sys.executable, "-m", "jaxplore"]
 
 
 class Sizes(NamedTuple):
-    """Files of maps by name, options of the node, longest drive [s], and duration of the drive
-    along a path whose memory is measured [min]."""
+    """Files of maps by name, options of the node, longest drive [s], duration of the drive along a
+    path whose memory is measured [min], and options of the robot of the drives."""
 
     maps: Mapping[str, str] = available_maps(SITES)
     options: tuple[str, ...] = ()
     drive_seconds: float = 300.0
     minutes: float = 2.0
+    robot: tuple[str, ...] = ()
 
 
 FULL = Sizes()
-SMALL = ("--set", "controller.num_samples=8", "--set", "controller.horizon=4")
-SMOKE = Sizes({"office": "office"}, SMALL, 2.0, 0.0)
+# The programs of `tests/ros/field_program.py`, which the suite compiles anyway.
+SMALL_NODE = (
+    *("--set", "controller.num_samples=100", "--set", "node.map_size=30"),
+    *("--set", "lidar.num_beams=90", "--set", "rates.control=20", "--set", "rates.sensing=10"),
+    *("--set", "node.max_age=2", "--set", "node.max_frozen=5"),
+)
+SMALL_ROBOT = ("--set", "office.width=26", "--set", "office.height=18", "--beams", "90")
+SMOKE = Sizes({"office": "office"}, SMALL_NODE, 1.0, 0.0, SMALL_ROBOT)
 TITLES = {
     "drives": "The node with a simulated robot in another process: 1000 rollouts of 40 steps",
     "memory": "Memory of the node while it follows paths",
@@ -63,7 +70,8 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
 def _drive(world: str, name: str, sizes: Sizes) -> dict[str, Any]:
     """Explore a map until the node is done."""
     with _field() as (place, watcher, start):
-        robot = start("robot", world, "--delay", str(DELAY), "--time-limit", "600")
+        given = "--delay", str(DELAY), "--time-limit", "600", *sizes.robot
+        robot = start("robot", world, *given)
         watcher.wait(lambda: watcher.robot)
         node = start("node", "--set", "node.latency=0.06", *sizes.options)
         watcher.moved_at = None

@@ -62,13 +62,14 @@ class Sizes(NamedTuple):
 
 
 FULL = Sizes()
+# The loop of `tests/tuning/test_runs.py`, which the suite compiles anyway.
 SMOKE = Sizes(
     {
         "path": (
             {
                 "path": "track",
-                "time_limit": 0.5,
-                "controller": {"num_samples": 8, "horizon": 4},
+                "time_limit": 0.6,
+                "controller": {"num_samples": 16, "horizon": 6, "temperature": 20.0},
             },
             ("controller.temperature",),
         )

@@ -1,6 +1,7 @@
 """Wall-clock times of compiled functions."""
 
 import dataclasses
+import importlib
 import json
 import os
 import subprocess
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplore.control.base import Controller
+from jaxplore.simulation.chunks import CHUNK_SECONDS
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.scenario import Scenario
 
@@ -87,13 +89,15 @@ class TimedLoop:
     ) -> None:
         self.controller = controller.at_period(scenario.control_period)
         self.scenario, self.key, self.chunk = scenario, key, chunk
+        # A few steps at a time run the very program of `simulate`.
+        self._capacity = max(chunk, round(CHUNK_SECONDS / float(scenario.period)))
         self.state = copied(initial_loop_state(self.controller, scenario, key))
 
     def run(self, count: int) -> float:
         """Run a number of steps, and return how long they took [s]. The first call compiles."""
         began = time.perf_counter()
         given = self.controller, self.scenario, self.key, jnp.asarray(count, jnp.int32)
-        self.state, _, _ = run_chunk(given, self.state, self.chunk)
+        self.state, _, _ = run_chunk(given, self.state, self._capacity)
         _wait(self.state)
         return time.perf_counter() - began
 
@@ -114,20 +118,30 @@ class TimedLoop:
         return chunks, single
 
 
-def in_own_processes(
-    module: str, cases: Sequence[Sequence[object]], environment: Mapping[str, str] | None = None
+def measure_cases(
+    function: Callable[..., dict[str, Any]],
+    cases: Sequence[Sequence[object]],
+    *,
+    are_apart: bool = True,
+    environment: Mapping[str, str] | None = None,
 ) -> list[dict[str, Any]]:
     """Return the row of each case, measured in a process of its own, so that its memory is that of
     the process.
 
     Args:
-        module: module that prints the row of the case in its arguments as JSON, in its last line.
-        cases: arguments of each case.
+        function: function of a module that returns the row of a case.
+        cases: arguments of each case, which JSON can hold.
+        are_apart: whether each has a process. Without one, nothing is imported and compiled again.
         environment: variables that are set for the process.
     """
     rows = []
     for each in cases:
-        command = [sys.executable, "-m", module, *map(str, each)]
+        given = json.dumps(each)
+        if not are_apart:
+            rows.append(function(*json.loads(given)))
+            continue
+        name = f"{function.__module__}:{function.__name__}"
+        command = [sys.executable, "-m", __spec__.name, name, given]
         folder = Path(__file__).parents[1]
         done = subprocess.run(
             command,
@@ -145,3 +159,9 @@ def in_own_processes(
 def _wait(result: Any) -> None:
     for leaf in jax.tree.leaves(result):
         leaf.block_until_ready()
+
+
+if __name__ == "__main__":
+    module, name = sys.argv[1].split(":")
+    row = getattr(importlib.import_module(module), name)(*json.loads(sys.argv[2]))
+    print(json.dumps(row))

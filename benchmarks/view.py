@@ -1,9 +1,11 @@
 """A live view: how much of the loop's speed it costs."""
 
 import contextlib
-import multiprocessing
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,7 +35,7 @@ class Sizes(NamedTuple):
 
 
 FULL = Sizes()
-SMOKE = Sizes(SMALL_OFFICE, SMALL, {}, (1,), 25, 1)
+SMOKE = Sizes(SMALL_OFFICE, SMALL, {}, (1,), 10, 1)
 TITLES = {"runs": "A live view, in times as long as a run without one"}
 
 
@@ -96,46 +98,16 @@ def _seconds(made: Experiment, steps: int, monitors: Sequence[Monitor]) -> float
 @contextlib.contextmanager
 def _pages(view: LiveView, number: int) -> Iterator[None]:
     """Open pages in processes of their own, as a browser's are."""
-    context = multiprocessing.get_context("spawn")
-    processes = [context.Process(target=take, args=[view.link], daemon=True) for _ in range(number)]
+    command = [sys.executable, "-m", "benchmarks.view_page", view.link]
+    folder = Path(__file__).parents[1]
+    processes = [subprocess.Popen(command, cwd=folder) for _ in range(number)]
     try:
-        for each in processes:
-            each.start()
         while view.num_pages < number:
-            if not all(each.is_alive() for each in processes):
+            if not all(each.poll() is None for each in processes):
                 raise RuntimeError("a page has ended before the view has shown it")
             time.sleep(0.01)
         yield
     finally:
         for each in processes:
-            each.terminate()
-
-
-def take(address: str) -> None:
-    """Take what a page would, without drawing it, until the view is closed.
-
-    Args:
-        address: link of the view.
-    """
-    # Other sections run without the libraries of a page.
-    import msgspec
-    import viser
-    from websockets.sync.client import connect
-
-    camera = {
-        "type": "ViewerCameraMessage",
-        "wxyz": (1.0, 0.0, 0.0, 0.0),
-        "position": (0.0, 0.0, 1.0),
-        "look_at": (0.0, 0.0, 0.0),
-        "up_direction": (0.0, 0.0, 1.0),
-        **dict.fromkeys(("fov", "near", "far"), 1.0),
-        **dict.fromkeys(("image_height", "image_width"), 100),
-    }
-    with connect(
-        address.replace("http", "ws"),
-        subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
-        max_size=2**26,
-    ) as connection:
-        connection.send(msgspec.msgpack.encode(camera))
-        for _ in connection:
-            pass
+            each.kill()
+            each.wait()
