@@ -4,8 +4,6 @@ Where JAX's device is a GPU, the same is measured again in a process that has th
 a GPU the columns of the CPU are empty, as all times are its own.
 """
 
-import json
-import sys
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +14,7 @@ from benchmarks.control_problems import build, map_problem, quadrotor_problem, t
 from benchmarks.portfolio_step import loop_of
 from benchmarks.setting import SMALL, SMALL_OFFICE, Site, available_sites, experiment
 from benchmarks.tables import Rows
-from benchmarks.timing import TimedLoop, in_own_processes, percentiles, timed
+from benchmarks.timing import TimedLoop, measure_cases, percentiles, timed
 from jaxplore import Euler, FieldSensor, InverseSensorModel, Lidar, OccupancyGrid, office
 
 PUBLISHED = {1024: 0.131, 2048: 0.146, 4096: 0.170, 8192: 0.232, 16384: 0.389}
@@ -80,8 +78,8 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
     if jax.default_backend() != "cpu":
         fewer = sizes._replace(steps=sizes.cpu_steps, runs=sizes.cpu_runs)
         # JAX reads which devices it may use when it starts.
-        case = [json.dumps(fewer._asdict())]
-        (found,) = in_own_processes(__spec__.name, [case], {"JAX_PLATFORMS": "cpu"})
+        on_cpu = {"JAX_PLATFORMS": "cpu"}
+        (found,) = measure_cases(measure_times, [[fewer._asdict()]], environment=on_cpu)
         beside = found["times"]
     return {"times": joined(rows, beside)}
 
@@ -190,6 +188,10 @@ def _portfolio(sizes: Sizes) -> dict[str, Any]:
     return _row(name, single, compiling, 5.0)
 
 
-if __name__ == "__main__":
-    given = json.loads(sys.argv[1])
-    print(json.dumps({"times": _times(Sizes(**{**given, "site": Site(*given["site"])}))}))
+def measure_times(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the times on the devices of this process.
+
+    Args:
+        given: sizes, as JSON holds them.
+    """
+    return {"times": _times(Sizes(**{**given, "site": Site(*given["site"])}))}

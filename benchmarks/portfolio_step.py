@@ -45,7 +45,7 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
 
 
 def loop_of(
-    count: int, samples: int, horizon: int, place: str = "warehouse", chunk: int = CHUNK
+    count: int, samples: int, horizon: int, place: str = FULL.place, chunk: int = FULL.chunk
 ) -> TimedLoop:
     """Return the closed loop of a portfolio.
 
