@@ -5,7 +5,7 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from jaxplore.geometry.rays import TOUCH
@@ -54,6 +54,7 @@ def plain(start: np.ndarray, direction: np.ndarray, length: float) -> list[tuple
 finite = st.floats(-5.0, 5.0, width=32)
 
 
+@example((0.0, 0.0, 0.0), (0.0, 1.0, -8.8e-29), 1.0)
 @given(
     st.tuples(finite, finite, finite),
     st.tuples(finite, finite, finite).filter(lambda way: np.linalg.norm(way) > 0.1),
@@ -81,10 +82,12 @@ def test_the_voxels_are_those_of_a_plain_traversal(start, way, length) -> None:
 
 
 def _span(start: np.ndarray, direction: np.ndarray, voxel: tuple[int, ...]) -> float:
-    """Return the length of the part of a line that is in a voxel."""
+    """Return the length of the part of a line that is in a voxel; 0 along a face of it."""
     low, high = -np.inf, np.inf
     for axis in range(3):
         if abs(direction[axis]) < 1e-9:
+            if not TOUCH < start[axis] - voxel[axis] < 1.0 - TOUCH:
+                return 0.0
             continue
         two = sorted((np.array([0.0, 1.0]) + voxel[axis] - start[axis]) / direction[axis])
         low, high = max(low, two[0]), min(high, two[1])

@@ -9,6 +9,7 @@ from jaxplore.onboard.drive_clock import Instant
 from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.lidar import Lidar
+from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
 
 
@@ -18,7 +19,10 @@ class FakeLink:
     def __init__(self, **kinds) -> None:
         names = ("Odometry", "PoseWithCovarianceStamped", "LaserScan", "TFMessage")
         self.ros = SimpleNamespace(**dict.fromkeys(names, "a class"), **kinds)
-        self.handles = {}
+        self.handles, self.infos = {}, []
+
+    def info(self, message) -> None:
+        self.infos.append(message)
 
     def subscribe(self, kind, topic, handle, *, is_kept=False) -> None:
         self.handles[topic] = handle
@@ -74,7 +78,7 @@ def test_poses_of_another_frame_than_the_first_are_refused() -> None:
 def test_scans_of_another_lidar_are_refused() -> None:
     link, taken = FakeLink(), []
     lidar = Lidar(num_beams=8, max_range=5.0)
-    subscribe_scan(link, NodeSettings(), lidar, Mount(x=0.3), taken.append)
+    subscribe_scan(link, NodeSettings(), lidar, Mount(x=0.3), NoEcho(), taken.append)
     take = link.handles["/scan"]
     take(scan("front_laser"))
     with pytest.raises(ValueError, match="of /scan is 'rear_laser'; accepted: 'front_laser'"):
@@ -85,6 +89,18 @@ def test_scans_of_another_lidar_are_refused() -> None:
     take(scan("front_laser"))
     assert len(taken) == 2
     np.testing.assert_allclose(taken[0].points[1], [2.3, 0.0], atol=1e-6)
+
+
+def test_what_the_lidar_reports_for_open_space_is_said_once() -> None:
+    link, taken = FakeLink(), []
+    lidar = Lidar(num_beams=8, max_range=5.0)
+    subscribe_scan(link, NodeSettings(), lidar, Mount(), NoEcho("auto", 0.05), taken.append)
+    for _ in range(3):
+        link.handles["/scan"](scan("laser", [2.0, 10.0] * 4))
+    (said,) = link.infos
+    assert "reports its greatest range" in said
+    # Others than the four walls are no points.
+    assert [len(each.points) for each in taken] == [4, 4, 4]
 
 
 def test_transforms_need_their_package() -> None:

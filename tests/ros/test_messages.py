@@ -118,11 +118,12 @@ def test_a_scan_has_the_readings_of_its_beams_and_all_points() -> None:
     ranges[90], ranges[180], ranges[270], ranges[10] = math.inf, math.nan, 0.05, 40.0
     found = messages.laser_scan_of(scan_message(ranges), SENSOR)
     assert (found.time, found.frame) == (3.25, "laser")
-    # Beam k of the sensor is reading 10 k: the first one, 10, is beyond range_max.
+    # Beam k of the sensor is reading 10 k: the first one, 10, is beyond range_max, as some drivers
+    # report a beam that met nothing.
     returns, far = np.asarray(found.scan.is_return), np.asarray(found.scan.ranges)
     assert not returns[[1, 9, 18, 27]].any()
     assert returns.sum() == 32
-    np.testing.assert_array_equal(far[[1, 9, 18, 27]], [0.0, 5.0, 0.0, 0.0])
+    np.testing.assert_array_equal(far[[1, 9, 18, 27]], [5.0, 5.0, 0.0, 0.0])
     assert len(found.points) == 356
     np.testing.assert_allclose(np.hypot(*found.points.T), 2.0)
 

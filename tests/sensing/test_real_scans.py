@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 import jaxplore as jx
 from jaxplore.sensing import Scan
 from jaxplore.sensing.base import update_grid
+from jaxplore.sensing.no_echo import SCANS, NoEcho
 
 FULL, SECTOR = jx.Lidar(num_beams=36, max_range=5.0), jx.Lidar(19, 5.0, math.pi)
 READING = st.one_of(
-    st.floats(-1.0, 9.0), st.sampled_from([0.0, math.nan, math.inf, -math.inf, 0.1, 6.0])
+    st.floats(-1.0, 9.0), st.sampled_from([0.0, math.nan, math.inf, -math.inf, 0.1, 4.0, 5.0, 6.0])
 )
 
 
@@ -29,10 +30,8 @@ def one_beam(angle, ranges, first, step, half, limits):
     reading = ranges[best]
     if offsets[best] > half or math.isnan(reading) or reading <= 0.0 or reading < least:
         return 0.0, False
-    if most < reading < math.inf:
-        return 0.0, False
-    if reading > sensor_range:
-        return sensor_range, False
+    if reading > sensor_range or reading >= most:
+        return min(sensor_range, most), False
     return reading, True
 
 
@@ -42,9 +41,10 @@ def one_beam(angle, ranges, first, step, half, limits):
     step=st.floats(0.003, 0.4),
     sign=st.sampled_from([-1.0, 1.0]),
     sensor=st.sampled_from([FULL, SECTOR]),
+    most=st.sampled_from([4.0, 5.0, 6.0]),
 )
-def test_each_beam_has_the_nearest_reading(ranges, first, step, sign, sensor) -> None:
-    found = Scan.from_ranges(ranges, first, sign * step, sensor, range_min=0.1, range_max=6.0)
+def test_each_beam_has_the_nearest_reading(ranges, first, step, sign, sensor, most) -> None:
+    found = Scan.from_ranges(ranges, first, sign * step, sensor, range_min=0.1, range_max=most)
     half = 0.5 * max(step, sensor.beam_spacing) + 1e-6
     offsets = np.abs(
         np.remainder(
@@ -61,7 +61,7 @@ def test_each_beam_has_the_nearest_reading(ranges, first, step, sign, sensor) ->
         is_tie = len(ranges) > 1 and ordered[beam, 1] - ordered[beam, 0] < 1e-6
         if is_tie or abs(ordered[beam, 0] - half) < 1e-6:
             continue
-        expected = one_beam(angle, ranges, first, sign * step, half, (0.1, 6.0, 5.0))
+        expected = one_beam(angle, ranges, first, sign * step, half, (0.1, most, 5.0))
         assert float(found.ranges[beam]) == pytest.approx(expected[0], rel=1e-6)
         assert bool(found.is_return[beam]) == expected[1]
 
@@ -88,6 +88,73 @@ def test_a_beam_without_a_measurement_changes_no_cell() -> None:
     assert not np.asarray(empty.is_return).any()
     free = update_grid(grid, FULL.sight(grid, empty, pose), jx.InverseSensorModel())
     assert int(jnp.sum(free.is_free)) > 400
+
+
+# An open hall with a wall ahead: what drivers report where a beam meets nothing.
+CONVENTIONS = {"inf": math.inf, "max": 3.5, "above": 4.5, "a little less": 3.46, "zero": 0.0}
+CONVENTIONS["nan"] = math.nan
+
+
+def hall_readings(nothing: float) -> np.ndarray:
+    """Some readings of the wall are near the greatest range of 3.5 m."""
+    angles = np.radians(np.arange(360) - 180.0)
+    ahead = np.where(np.cos(angles) > 0.87, 3.0 / np.maximum(np.cos(angles), 0.87), math.inf)
+    return np.where(np.isfinite(ahead), ahead, nothing)
+
+
+@pytest.mark.parametrize("name", CONVENTIONS)
+def test_open_space_is_found_whatever_the_driver_reports_for_it(name: str) -> None:
+    finder, readings = NoEcho("auto", 0.04), hall_readings(CONVENTIONS[name])
+    news = []
+    for _ in range(SCANS + 1):
+        found = finder.with_infinite(readings, 3.5)
+        news.append(finder.news)
+        finder.news = ""
+    np.testing.assert_array_equal(found, hall_readings(math.inf))
+    said = [each for each in news if each]
+    if name in ("inf", "a little less"):
+        assert not said
+    elif name in ("zero", "nan"):
+        assert "0 or NaN for 84 %" in said[0]
+        # Before that such a beam changes no cell.
+        assert news.index(said[0]) == SCANS - 1
+    else:
+        assert "greatest range" in said[0]
+    assert len(said) <= 1
+
+
+def test_readings_of_zero_beside_others_are_no_open_space() -> None:
+    """Glass and black furniture, of a lidar that reports open space otherwise, or hardly ever."""
+    mixed, rare = hall_readings(math.inf), hall_readings(1.0)
+    mixed[:90], rare[:30] = 0.0, 0.0
+    for readings in (mixed, rare):
+        finder = NoEcho("auto", 0.05)
+        for _ in range(2 * SCANS):
+            found = finder.with_infinite(readings, 3.5)
+        np.testing.assert_array_equal(found, readings)
+        assert not finder.news
+
+
+@pytest.mark.parametrize(
+    ("rule", "expected"),
+    [
+        ("inf", [0.0, math.nan, 1.0, 3.46, 3.5, math.inf]),
+        ("max", [0.0, math.nan, 1.0, math.inf, math.inf, math.inf]),
+        ("zero", [math.inf, math.inf, 1.0, math.inf, math.inf, math.inf]),
+    ],
+)
+def test_a_rule_holds_from_the_first_scan_on(rule: str, expected: list[float]) -> None:
+    given = np.array([0.0, math.nan, 1.0, 3.46, 3.5, math.inf])
+    np.testing.assert_array_equal(NoEcho(rule, 0.05).with_infinite(given, 3.5), expected)
+    with pytest.raises(ValueError, match="no_echo is 'none'; accepted: auto, inf, max, zero"):
+        NoEcho("none")
+
+
+def test_a_short_lidar_frees_only_what_it_sees() -> None:
+    """Of a sensor with a greater range than the lidar."""
+    empty = Scan.from_ranges([math.inf] * 36, -math.pi, math.pi / 18, FULL, range_max=3.5)
+    np.testing.assert_array_equal(empty.ranges, np.float32(3.5))
+    assert not np.asarray(empty.is_return).any()
 
 
 @pytest.mark.parametrize(

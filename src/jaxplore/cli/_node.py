@@ -28,6 +28,7 @@ from jaxplore.report.table import print_table
 from jaxplore.ros import control, goal, robot
 from jaxplore.ros.link import connected
 from jaxplore.ros.replay import replay, replay_topics
+from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.ros_names import checked_namespace
@@ -116,6 +117,7 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
             scan,
             pose,
             mount=control.lidar_mount(node),
+            no_echo=NoEcho(node.no_echo, pilot.task.perception.resolution),
             on_progress=lambda seconds: advance(0.0, f"{seconds:.0f} s of {scan} and {pose}"),
         )
     if not pilot.log.num_steps:
@@ -124,6 +126,8 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
     say(f"{len(found.commands)} commands for {found.num_messages} messages", err=True)
     if found.num_malformed:
         say(f"{found.num_malformed} messages were left out: {found.reason}", err=True)
+    if found.news:
+        say(found.news, err=True)
     if found.skipped:
         say(f"{found.skipped:.1f} s without messages were skipped", err=True)
 

@@ -25,6 +25,7 @@ from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
 from jaxplore.ros.pace import Pace
+from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
 from jaxplore.simulation.monitor import Monitor
 
@@ -116,7 +117,9 @@ class ControlNode:
         )
         self._publisher = DrivePublisher(link, pilot, settings.rollout_colour)
         self._began = math.inf
-        subscribe_scan(link, settings, pilot.sensor, lidar_mount(settings), self._take_scan)
+        no_echo = NoEcho(settings.no_echo, pilot.task.perception.resolution)
+        mount = lidar_mount(settings)
+        subscribe_scan(link, settings, pilot.sensor, mount, no_echo, self._take_scan)
         subscribe_pose(link, settings, self._take_pose)
         if isinstance(pilot.task, Following):
             link.subscribe(ros.Path, settings.path_topic, partial(self._take_path, pilot.task))

@@ -7,6 +7,7 @@ from jaxplore.ros import messages
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.beams import Beams
+from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
 
 
@@ -85,6 +86,7 @@ def subscribe_scan(
     settings: NodeSettings,
     sensor: Beams,
     mount: Mount,
+    no_echo: NoEcho,
     take: Callable[[messages.LaserScan], None],
 ) -> None:
     """Subscribe to the lidar; messages that are malformed, or of another lidar, give a warning.
@@ -94,6 +96,7 @@ def subscribe_scan(
         settings: topics and types.
         sensor: sensor that the scans are for.
         mount: pose of the lidar on the robot.
+        no_echo: which readings met nothing; what it finds is logged.
         take: function that takes each scan, with its arrival.
     """
     topic = link.topic(settings.scan_topic)
@@ -101,7 +104,10 @@ def subscribe_scan(
 
     def take_scan(message: Any) -> None:
         received = link.instant()
-        scan = messages.laser_scan_of(message, sensor, mount)
+        scan = messages.laser_scan_of(message, sensor, mount, no_echo)
+        if no_echo.news:
+            link.info(no_echo.news)
+            no_echo.news = ""
         check(scan.frame)
         link.warn_of_clock(topic, scan.time, received)
         take(scan._replace(received=received))

@@ -15,6 +15,7 @@ import numpy as np
 from jaxplore import _checks
 from jaxplore.onboard.drive_clock import Instant
 from jaxplore.sensing.beams import Beams, Scan
+from jaxplore.sensing.no_echo import NoEcho
 
 MOST_READINGS = 100_000
 """Greatest number of readings of a scan."""
@@ -193,7 +194,9 @@ def fill_twist(message: Any, twist: Sequence[float] | np.ndarray) -> None:
     message.angular.x, message.angular.y, message.angular.z = 0.0, 0.0, omega
 
 
-def laser_scan_of(message: Any, sensor: Beams, mount: Mount | None = None) -> LaserScan:
+def laser_scan_of(
+    message: Any, sensor: Beams, mount: Mount | None = None, no_echo: NoEcho | None = None
+) -> LaserScan:
     """Convert a `sensor_msgs/LaserScan`.
 
     The angle of reading k is `angle_min + k angle_increment`; `angle_max`, which drivers round
@@ -205,6 +208,7 @@ def laser_scan_of(message: Any, sensor: Beams, mount: Mount | None = None) -> La
         message: the message.
         sensor: sensor that the scan is for.
         mount: pose of the lidar on the robot; at its centre when absent.
+        no_echo: which readings met nothing; by the rule `auto` for this scan alone when absent.
 
     Raises:
         ValueError: no readings or too many, angles that are not finite, an increment of 0, a
@@ -223,8 +227,11 @@ def laser_scan_of(message: Any, sensor: Beams, mount: Mount | None = None) -> La
     least = max(0.0, _checks.number("range_min", float(message.range_min)))
     # Some drivers leave the field at 0.
     most = float(message.range_max) or math.inf
+    ranges = (NoEcho() if no_echo is None else no_echo).with_infinite(ranges, most)
+    # What is left at the greatest range is a return.
+    beyond = math.nextafter(most, math.inf)
     scan = Scan.from_ranges(
-        ranges, first + mount.yaw, step, sensor, range_min=least, range_max=most
+        ranges, first + mount.yaw, step, sensor, range_min=least, range_max=beyond
     )
     # NaN fails every comparison.
     is_return = (ranges > 0.0) & (ranges >= least) & (ranges <= most) & np.isfinite(ranges)

@@ -10,6 +10,7 @@ from jaxplore.onboard.pilot import Pilot
 from jaxplore.ros import messages
 from jaxplore.ros.bag import BagMessage, bag_topics, choose_topic, read_bag
 from jaxplore.ros.messages import Mount
+from jaxplore.sensing.no_echo import NoEcho
 
 POSES = ("Odometry", "PoseWithCovarianceStamped")
 """Kinds of messages that have the pose of the robot, the preferred one first."""
@@ -28,6 +29,7 @@ class Replayed(NamedTuple):
         num_malformed: number of messages that were left out, and the first reason.
         reason: why the first of them was left out; empty without any.
         skipped: recorded time that was left out, because it had no messages [s].
+        news: what was found about beams that met nothing; empty without any.
     """
 
     times: list[float]
@@ -36,6 +38,7 @@ class Replayed(NamedTuple):
     num_malformed: int
     reason: str
     skipped: float
+    news: str
 
 
 def replay_topics(
@@ -69,6 +72,7 @@ def replay(
     pose: str,
     *,
     mount: Mount | None = None,
+    no_echo: NoEcho | None = None,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Replayed:
     """Feed a bag to a pilot, in the order and at the times of its messages.
@@ -82,11 +86,13 @@ def replay(
         scan: topic of the scan.
         pose: topic of the pose.
         mount: pose of the lidar on the robot.
+        no_echo: which readings met nothing; by the rule `auto` when absent.
         on_progress: called with the recorded time since the first message [s].
 
     Raises:
         ValueError: a bag that cannot be read.
     """
+    no_echo = NoEcho() if no_echo is None else no_echo
     began: float | None = None
     due, now, skipped, number, malformed, reason = 0.0, 0.0, 0.0, 0, 0, ""
     times: list[float] = []
@@ -106,20 +112,25 @@ def replay(
         on_progress(each.time - began)
         number += 1
         try:
-            _feed(pilot, each.topic == scan, each, skipped, mount)
+            _feed(pilot, each.topic == scan, each, skipped, mount, no_echo)
         except (ValueError, TypeError, OverflowError, AttributeError) as error:
             malformed += 1
             reason = reason or " ".join(str(error).split())
-    return Replayed(times, commands, number, malformed, reason, skipped)
+    return Replayed(times, commands, number, malformed, reason, skipped, no_echo.news)
 
 
 def _feed(
-    pilot: Pilot, is_scan: bool, given: BagMessage, skipped: float, mount: Mount | None
+    pilot: Pilot,
+    is_scan: bool,
+    given: BagMessage,
+    skipped: float,
+    mount: Mount | None,
+    no_echo: NoEcho,
 ) -> None:
     """Give a message to the pilot, with its stamp and the time at which it was recorded."""
     received = Instant(given.time - skipped)
     if is_scan:
-        scan = messages.laser_scan_of(given.message, pilot.sensor, mount)
+        scan = messages.laser_scan_of(given.message, pilot.sensor, mount, no_echo)
         pilot.add_scan(scan.time - skipped, scan.scan, scan.points, received)
     else:
         place = messages.odometry_of(given.message)

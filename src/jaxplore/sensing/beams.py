@@ -106,10 +106,12 @@ class Scan(NamedTuple):
         """Make a scan from the readings of a real lidar, such as a ROS `LaserScan`.
 
         Each beam of the sensor gets the reading whose direction is nearest, if one is within half
-        a beam spacing of the sensor or half an increment. An infinite reading, and one beyond the
-        sensor's range, met nothing. A reading that is NaN, zero, negative, below `range_min` or
-        above `range_max` is no measurement, as is a beam without a reading: its range is 0, so it
-        changes no cell. These are the rules of `LaserScan` and of REP 117.
+        a beam spacing of the sensor or half an increment. An infinite reading, one beyond the
+        sensor's range, and one of `range_max` or more met nothing up to the lesser of the two
+        ranges. A reading that is NaN, zero, negative or below `range_min` is no measurement, as is
+        a beam without a reading: its range is 0, so it changes no cell. These are the rules of
+        `LaserScan` and of REP 117, but that many drivers report `range_max` where a beam met
+        nothing. `sensing.no_echo.NoEcho` has other conventions.
 
         Args:
             ranges: (R,) readings [m].
@@ -117,7 +119,7 @@ class Scan(NamedTuple):
             angle_increment: angle between two readings [rad]; negative for a reversed scan.
             sensor: sensor that the scan is for; its beams are filled.
             range_min: shortest valid reading [m].
-            range_max: longest valid reading [m].
+            range_max: greatest range of the lidar [m].
 
         Raises:
             ValueError: readings of another shape, an increment that is 0, an angle that is not
@@ -142,8 +144,8 @@ class Scan(NamedTuple):
         is_near = away[np.arange(len(nearest)), nearest] <= half
         found = given[nearest]
         # NaN fails every comparison, so it is no measurement.
-        is_in_range = (found > 0.0) & (found >= least) & (found <= range_max)
-        is_valid = is_near & (is_in_range | (found == math.inf))
-        is_return = is_valid & (found <= sensor.max_range)
-        distance = np.where(is_return, found, np.where(is_valid, sensor.max_range, 0.0))
+        is_valid = is_near & (found > 0.0) & (found >= least)
+        is_return = is_valid & (found <= sensor.max_range) & (found < range_max)
+        longest = min(sensor.max_range, range_max)
+        distance = np.where(is_return, found, np.where(is_valid, longest, 0.0))
         return cls(on_device(distance.astype(np.float32)), on_device(is_return))

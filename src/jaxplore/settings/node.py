@@ -6,6 +6,7 @@ from typing import Any, Literal
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.report.drawing.rollout_costs import WEIGHT
+from jaxplore.sensing.no_echo import NoEchoRule
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.path import ContouringNumbers
 from jaxplore.settings.ros_names import Namespace, Topic
@@ -69,6 +70,9 @@ class NodeSettings(Section):
         lidar_y: position of the lidar to the left of it [m].
         lidar_yaw_degrees: heading of the lidar relative to the robot's [degrees].
         is_lidar_inverted: whether the lidar hangs upside down.
+        no_echo: what the lidar's driver reports where a beam meets nothing: `inf`; `max`, also
+            the greatest range; `zero`, also 0 and NaN; `auto` finds it from the readings, and
+            says so.
         deadline: share of the control period after which the last plan's next command is sent.
         rollout_colour: what colours the published rollouts: `weight`, `total cost`, or the name of
             a term of the controller's cost.
@@ -95,6 +99,7 @@ class NodeSettings(Section):
     lidar_y: Real = setting(PilotOptions, "lidar_y")
     lidar_yaw_degrees: Real = 0.0
     is_lidar_inverted: bool = False
+    no_echo: NoEchoRule = "auto"
     deadline: Positive = 0.9
     rollout_colour: str = WEIGHT
     is_autostarted: bool = True
