@@ -20,7 +20,7 @@ LOOP = "jit_run_chunk"
 """The closed loop of a task, the largest programs there are."""
 LARGE = 400
 """Instructions of a large program."""
-MOST_LARGE = {"not long": 190, "long": 1081}
+MOST_LARGE = {"not long": 190, "long": 1083}
 """Large programs of a layer. Raising a budget needs a reason in the commit."""
 MOST_LOOPS = {"not long": 10, "long": 73}
 """Closed loops among them."""
