@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -86,7 +87,7 @@ def map_problem(
 ) -> Problem:
     """A robot among the walls and the furniture of an office, 20 x 20 m."""
     world = office(seed=5, width=20.0, height=20.0, resolution=cell)
-    clearance = clearance_field(~world.is_free, world.frame, 1.0)
+    clearance = eqx.filter_jit(lambda w: clearance_field(~w.is_free, w.frame, 1.0))(world)
     model = DifferentialDrive()
     return {
         "start": model.at_pose(*start_pose(world)),

@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from benchmarks.setting import SMALL, SMALL_OFFICE, Site, available_sites, experiment
@@ -54,20 +55,18 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
     }
 
 
+def _scan(lidar: Any, world: Any, pose: Any, key: Any) -> Any:
+    return lidar.scan(world, pose, key=key)
+
+
 def _parts(loop: TimedLoop, scenario: ExplorationScenario, key: Any, runs: int) -> Rows:
     state, perception = loop.state, scenario.perception
     pose = scenario.robot.pose(state.task.robot)
-    scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
+    scan = eqx.filter_jit(_scan)(scenario.sensors[0], scenario.world, pose, key)
     model, sensor = perception.sensor_model, perception.field_sensor
     period = jnp.asarray(0.2)
     parts: dict[str, tuple[Any, ...]] = {
-        "scan": (
-            lambda lidar, world, at, k: lidar.scan(world, at, key=k),
-            scenario.sensors[0],
-            scenario.world,
-            pose,
-            key,
-        ),
+        "scan": (_scan, scenario.sensors[0], scenario.world, pose, key),
         "map update and clearance": (perception.observe, state.task.belief, scan, pose),
         "information field, whole": (sensor.field, state.task.belief.grid, model),
         "all fields": (perception.update_fields, state.task.belief, pose, period),

@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -179,8 +180,8 @@ def _follow(following: PathFollowing, problem: dict[str, Any], path: jx.Path, se
     return {
         "positions": states[:, :2],
         "share": states[:, -1] / path.length,
-        "contouring": following.contouring.errors(states, following.model),
-        "lag": following.lag.errors(states, following.model),
+        "contouring": eqx.filter_jit(following.contouring.errors)(states, following.model),
+        "lag": eqx.filter_jit(following.lag.errors)(states, following.model),
     }
 
 
@@ -214,6 +215,7 @@ def _tracking_row(library: str, runs: list[Run], path: jx.Path) -> dict[str, Any
 
 
 def _distances(positions: Any, path: jx.Path) -> np.ndarray:
-    points = jnp.asarray(positions, jnp.float32)
-    nearest = jax.vmap(lambda point: path.at(path.nearest(point)).position)(points)
-    return np.asarray(jnp.linalg.norm(points - nearest, axis=1))
+    points = np.asarray(positions, np.float32)
+    each = jax.vmap(lambda path, point: path.at(path.nearest(point)).position, (None, 0))
+    nearest = np.asarray(eqx.filter_jit(each)(path, points))
+    return np.asarray(np.linalg.norm(points - nearest, axis=1))
