@@ -123,6 +123,9 @@ def _run(given: argparse.Namespace, console: Console) -> None:
         "without_peers": missing,
         "sections": {},
     }
+    out = given.out
+    if out is None and given.only is None and not given.smoke:
+        out = history.default_path(results)
     for name, section in SECTIONS.items():
         if given.only is not None and name not in given.only:
             continue
@@ -133,11 +136,10 @@ def _run(given: argparse.Namespace, console: Console) -> None:
         for key, title in section.TITLES.items():
             if tables[key]:
                 console.print(table(title, tables[key]))
-    out = given.out
-    if out is None and given.only is None and not given.smoke:
-        out = history.default_path(results)
+        if out is not None:
+            # After each section: what is measured is kept, whatever comes after it.
+            history.save(results, out)
     if out is not None:
-        history.save(results, out)
         console.print(f"Written to {out}")
 
 

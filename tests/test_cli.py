@@ -558,6 +558,14 @@ def test_a_map_that_is_no_file_is_answered_with_what_there_is(fails, tmp_path: P
     assert "is a folder; accepted: a file" in fails("run", "maps")
     Path("maps/depot.yaml").write_text("")
     assert "such as maps/depot.yaml" in fails("run", "maps")
+    # Files of other kinds are not read as YAML.
+    for name in ("cloud.las", "tree.ot", "picture.jpg"):
+        Path(name).write_bytes(b"\0\1")
+        line = fails("run", name)
+        assert f"{name} is of another kind; accepted: a file that ends with .yaml, .yml, .s" in line
+    Path("maps/depot.pgm").write_bytes(b"P5")
+    line = fails("run", "maps/depot.pgm")
+    assert "accepted: maps/depot.yaml, which is beside it, or a file that ends with .yaml" in line
 
 
 def test_a_run_that_is_interrupted_is_kept_and_ends_with_130(

@@ -4,10 +4,14 @@ import json
 import math
 import os
 from collections.abc import Iterator
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import pytest
 from benchmarks.__main__ import SECTIONS
+
+from benchmarks import __main__ as program
+from benchmarks import history
 
 pytestmark = [
     pytest.mark.long,
@@ -47,3 +51,27 @@ def test_section_measures_with_tiny_sizes(name: str, monkeypatch: pytest.MonkeyP
     times = [each for each in numbers(found) if each[0] == "repeats"]
     assert times or name in ("exploration", "robot")
     assert all(math.isfinite(time) and time > 0.0 for _, time in times)
+
+
+def test_what_was_measured_before_a_failure_is_kept(tmp_path, monkeypatch) -> None:
+    class Sizes(NamedTuple):
+        steps: int = 1
+
+    def section(measure) -> SimpleNamespace:
+        return SimpleNamespace(
+            FULL=Sizes(), SMOKE=Sizes(), TITLES={"times": "Times"}, measure=measure
+        )
+
+    def fail(sizes: Sizes) -> dict:
+        raise TimeoutError("the robot is not there")
+
+    sections = {
+        "first": section(lambda sizes: {"times": [{"": "a", "p50_ms": float(sizes.steps)}]}),
+        "second": section(fail),
+    }
+    monkeypatch.setattr(program, "SECTIONS", sections)
+    out = tmp_path / "results.json"
+    monkeypatch.setattr("sys.argv", ["benchmarks", "--steps", "7", "--out", str(out)])
+    with pytest.raises(TimeoutError):
+        program.main()
+    assert history.load(out)["sections"] == {"first": {"times": [{"": "a", "p50_ms": 7.0}]}}

@@ -7,6 +7,7 @@ from typing import Any
 from jaxplore._files import parse_yaml
 from jaxplore._spelling import spelled
 from jaxplore._text import printable_path, short_repr
+from jaxplore.maps.files.volume_file import SUFFIXES
 from jaxplore.settings.exploration import (
     OFFICE,
     SCENARIOS,
@@ -141,6 +142,9 @@ def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
     return {"map": str(Path(name).absolute())}
 
 
+_YAML = (".yaml", ".yml")
+
+
 def _check_file(path: Path) -> None:
     """Raise a `ValueError` that names what there is, if a map is not a file."""
     accepted = (
@@ -153,6 +157,19 @@ def _check_file(path: Path) -> None:
         raise ValueError(f"{printable_path(path)} is a folder; accepted: a file{example}")
     if not path.exists():
         raise ValueError(f"{printable_path(path)} is not there; accepted: {accepted}")
+    endings = (*_YAML, *SUFFIXES)
+    if path.suffix and path.suffix.lower() not in endings:
+        raise ValueError(
+            f"{printable_path(path)} is of another kind; accepted: {_namer(path)}a file that ends "
+            f"with {', '.join(endings)}"
+        )
+
+
+def _namer(image: Path) -> str:
+    """Return the words that name the YAML file beside an image whose map it is; none without."""
+    beside = (image.with_suffix(ending) for ending in _YAML)
+    found = next((each for each in beside if each.is_file()), None)
+    return "" if found is None else f"{printable_path(found)}, which is beside it, or "
 
 
 def assign(entries: dict[str, Any], name: str, value: Any) -> None:
