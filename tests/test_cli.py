@@ -289,6 +289,12 @@ def test_importing_is_light_and_changes_nothing_global_and_the_command_runs() ->
     assert "jaxplore, version" in done.stdout
 
 
+def test_settings_are_there_without_docstrings() -> None:
+    command = [sys.executable, "-OO", "-m", "jaxplore", "settings", "office"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "num_beams: 360" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "shown"),
     [

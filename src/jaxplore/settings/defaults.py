@@ -8,6 +8,7 @@ the reason.
 import inspect
 import math
 import re
+import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -124,6 +125,11 @@ def descriptions(owner: Owner) -> dict[str, str]:
     return found
 
 
+def description_in(found: dict[str, str], name: str) -> str:
+    """Return a description by its name; an empty one where `python -OO` left docstrings out."""
+    return found.get(name, "") if sys.flags.optimize > 1 else found[name]
+
+
 def unit(description: str) -> str | None:
     """Return the unit in a description, its text in square brackets; None without one."""
     found = _UNIT.search(description)
@@ -152,7 +158,7 @@ def setting(
     # `arguments` finds the settings of an owner by this entry of the schema.
     return Field(
         default=own if differs is None else DIFFERENCES[differs].value,
-        description=descriptions(owner)[name],
+        description=description_in(descriptions(owner), name),
         json_schema_extra={"owner": owner.__qualname__, "parameter": name, "own": own},
     )
 

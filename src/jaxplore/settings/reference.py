@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from jaxplore.settings.accepted import accepted_values, choices
-from jaxplore.settings.defaults import DIFFERENCES, descriptions, unit
+from jaxplore.settings.defaults import DIFFERENCES, description_in, descriptions, unit
 from jaxplore.settings.exploration import (
     OFFICE,
     QUADROTOR,
@@ -162,7 +162,8 @@ def own_descriptions(section: type[BaseModel]) -> dict[str, str]:
 
 def setting_meaning(section: type[BaseModel], name: str) -> str:
     """Return the description of a setting: that of its owner's parameter, or of the section."""
-    return section.model_fields[name].description or own_descriptions(section)[name]
+    own = section.model_fields[name].description
+    return own or description_in(own_descriptions(section), name)
 
 
 def _places(task: str) -> tuple[str, ...]:
@@ -176,7 +177,7 @@ def _sections(section: type[BaseModel], prefix: str = "") -> Iterator[tuple[str,
     for name, field in section.model_fields.items():
         inner = section_class(field.annotation)
         if inner is not None:
-            yield prefix + name, described[name]
+            yield prefix + name, description_in(described, name)
             yield from _sections(inner, f"{prefix}{name}.")
 
 
