@@ -29,7 +29,8 @@ class Pilot:
     """Keeps the ranges, the positions and the frames that a node gives it."""
 
     def __init__(self) -> None:
-        self.sensor, self.controller, self.task = LIDAR, Softmax(0.3), None
+        self.sensor, self.controller = LIDAR, Softmax(0.3)
+        self.task = SimpleNamespace(perception=SimpleNamespace(resolution=0.1))
         self.ranges, self.positions, self.correction = set(), set(), np.zeros(3)
 
     def make_frame(self):
