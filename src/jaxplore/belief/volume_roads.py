@@ -60,7 +60,7 @@ class VolumeRoads(eqx.Module):
         away = jnp.where(self.half_open, self._half_distances(position), jnp.inf)
         is_reached = self.half_open & (away <= away.min())
         for _ in range(BEGIN_STEPS):
-            is_reached = self.half_open & _dilated(is_reached)
+            is_reached = self.half_open & _dilate(is_reached)
         gap = jnp.where(is_reached, away, jnp.inf)[::2, ::2, ::2]
         return self.lengths(jnp.where(gap <= gap.min() + self.spacing, gap, jnp.inf))
 
@@ -99,7 +99,7 @@ def _distances(places: tuple[Array, Array, Array], position: Float[Array, "3"]) 
     return jnp.sqrt(jnp.sum(gap * gap, axis=0))
 
 
-def _dilated(mask: Bool[Array, "D H W"]) -> Bool[Array, "D H W"]:
+def _dilate(mask: Bool[Array, "D H W"]) -> Bool[Array, "D H W"]:
     """Return the points of a mask and their 26 neighbours."""
     for axis in range(3):
         edges = [(1, 1) if each == axis else (0, 0) for each in range(3)]

@@ -379,7 +379,7 @@ class Pilot:
     def _place_points(self) -> None:
         """Place the points of the recent scans in the map."""
         pose = self._poses.corrected(self._seen.pose, self._known.correction)
-        self._points = self._seen.placed(pose)
+        self._points = self._seen.place(pose)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         """Return the place in the map of a pose of the odometry, relative to its origin."""

@@ -85,7 +85,7 @@ class RecentPoints:
         nearest, is_point = nearest_points(points, pose)
         self._scans, self.pose = [*kept, (time, nearest[is_point])], pose
 
-    def placed(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def place(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what `nearest_points` does, of all scans.
 
         Args:
