@@ -164,7 +164,7 @@ def test_transforms_are_looked_up_under_the_namespace(frames, found) -> None:
         def warn_of_clock(self, _, stamped, at):
             assert stamped == at.clock
 
-        def subscribe(self, kind, topic, handle, *, is_kept=False):
+        def subscribe(self, kind, topic, handle, **_):
             self.handles[topic] = handle
 
     link, taken = Deaf(), []
@@ -172,7 +172,8 @@ def test_transforms_are_looked_up_under_the_namespace(frames, found) -> None:
 
     def transform(parent, child, x):
         rotation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
-        place = SimpleNamespace(translation=SimpleNamespace(x=x, y=0.0), rotation=rotation)
+        translation = SimpleNamespace(x=x, y=0.0, z=0.0)
+        place = SimpleNamespace(translation=translation, rotation=rotation)
         stamp = SimpleNamespace(sec=1, nanosec=0)
         header = SimpleNamespace(frame_id=parent, stamp=stamp)
         return SimpleNamespace(header=header, child_frame_id=child, transform=place)

@@ -97,7 +97,13 @@ class Link:
         self.node.get_logger().info(printable(message))
 
     def subscribe(
-        self, kind: Any, topic: str, handle: Callable[[Any], None], *, is_kept: bool = False
+        self,
+        kind: Any,
+        topic: str,
+        handle: Callable[[Any], None],
+        *,
+        is_kept: bool = False,
+        depth: int | None = None,
     ) -> None:
         """Subscribe to a topic; a message that is malformed gives a warning.
 
@@ -106,6 +112,8 @@ class Link:
             topic: name of the topic.
             handle: function that takes a message; a `ValueError` becomes a warning.
             is_kept: whether the last message is wanted that was published before.
+            depth: number of messages that wait; the newest of what is kept, and 5 of the rest, when
+                absent.
         """
 
         full = self.topic(topic)
@@ -117,7 +125,8 @@ class Link:
             except (ValueError, TypeError, OverflowError, AttributeError, RecursionError) as error:
                 self.warn(f"message of {full}", f"{full}: {' '.join(str(error).split())}")
 
-        self.node.create_subscription(kind, topic, take, self._quality(is_kept, is_input=True))
+        quality = self._quality(is_kept, is_input=True, depth=depth)
+        self.node.create_subscription(kind, topic, take, quality)
 
     def publisher(self, kind: Any, topic: str, *, is_kept: bool = False) -> Any:
         """Return a publisher.
@@ -172,18 +181,19 @@ class Link:
 
         self.node.create_service(self.ros.Trigger, name, serve)
 
-    def _quality(self, is_kept: bool, *, is_input: bool) -> Any:
+    def _quality(self, is_kept: bool, *, is_input: bool, depth: int | None = None) -> Any:
         qos = self.ros.rclpy.qos
         if is_kept:
             return qos.QoSProfile(
-                depth=1,
+                depth=1 if depth is None else depth,
                 reliability=qos.ReliabilityPolicy.RELIABLE,
                 durability=qos.DurabilityPolicy.TRANSIENT_LOCAL,
             )
         # Best effort hears reliable publishers as well, and never waits for what is old.
         reliability = qos.ReliabilityPolicy
         return qos.QoSProfile(
-            depth=5, reliability=reliability.BEST_EFFORT if is_input else reliability.RELIABLE
+            depth=5 if depth is None else depth,
+            reliability=reliability.BEST_EFFORT if is_input else reliability.RELIABLE,
         )
 
     def close(self) -> None:
