@@ -67,9 +67,20 @@ def test_frames_begin_with_the_namespace(seen) -> None:
 
 
 @ros
+def test_the_map_and_the_pose_in_it_have_its_frame_whatever_the_odometry_says(seen) -> None:
+    assert seen["place"] == pytest.approx([1.0, 2.0, 0.5])
+    assert seen["map"] == ["robot1/map", "robot1/map"]
+
+
+@ros
+def test_the_type_of_commands_is_found_from_the_graph(seen) -> None:
+    assert seen["types"] == ["twist", "twist_stamped"]
+
+
+@ros
 def test_no_topic_and_no_service_is_outside_of_the_namespaces(seen) -> None:
     # The tree of transforms is shared, and the rest is of ROS itself.
-    shared = {"/tf", "/rosout", "/parameter_events"}
+    shared = {"/tf", "/tf_static", "/rosout", "/parameter_events"}
     names = [
         *(name for name in seen["topics"] if name not in shared),
         *(name for name in seen["services"] if not name.startswith("/watcher/")),

@@ -1,6 +1,7 @@
 """The connection of a process to ROS 2: a node that spins in a thread of its own."""
 
 import collections
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -84,11 +85,11 @@ class Link:
                 "their arrival, unless they are later than before",
             )
 
-    def warn(self, kind: str, message: str) -> None:
+    def warn(self, kind: str, message: str, *, every: float = QUIET_SECONDS) -> None:
         """Log a warning, at most one of a kind in some seconds."""
         self.num_warnings[kind] += 1
         now = time.monotonic()
-        if now - self._warned.get(kind, -QUIET_SECONDS) >= QUIET_SECONDS:
+        if now - self._warned.get(kind, -math.inf) >= every:
             self._warned[kind] = now
             self.node.get_logger().warning(printable(message))
 
@@ -146,6 +147,30 @@ class Link:
             if each.topic_name == self.node.resolve_topic_name(topic) and own in found:
                 found.remove(own)
         return found
+
+    def other_types(self, topic: str, *, is_published: bool) -> dict[str, str]:
+        """Return the types of the messages that other nodes publish on a topic, or listen to.
+
+        Args:
+            topic: name of the topic.
+            is_published: whether publishers are asked for; otherwise subscriptions.
+
+        Returns:
+            The names of the types, such as `geometry_msgs/msg/Twist`, each with the name of one of
+            the nodes.
+        """
+        node = self.node
+        find = (
+            node.get_publishers_info_by_topic
+            if is_published
+            else node.get_subscriptions_info_by_topic
+        )
+        own = node.get_name(), node.get_namespace()
+        return {
+            str(each.topic_type): str(each.node_name)
+            for each in find(self.topic(topic))
+            if (each.node_name, each.node_namespace) != own
+        }
 
     def wait_for(self, topic: str | None) -> None:
         """Wait until the nodes that are there have been found.
