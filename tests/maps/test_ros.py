@@ -287,8 +287,6 @@ def test_what_is_meant_is_not_told(tmp_path):
     for bad in (-1, 256):
         with pytest.raises(ValueError, match=r"unknown is .*; accepted: "):
             read_map(path, unknown=bad)
-    with pytest.raises(ValueError, match="rules is 'nav3'; accepted: nav2, nav2_2025"):
-        ros.read_map(path, rules="nav3")
 
 
 def test_grey_with_alpha_and_transparent_colours(tmp_path):
