@@ -203,6 +203,63 @@ def test_the_covariance_is_the_spread_of_matches(
     assert np.abs(errors.mean(axis=0) / np.sqrt(np.diag(covariance))).max() < 1.0
 
 
+@eqx.filter_jit
+def with_scan(surface: SurfaceMap, pose: jax.Array, scan: Scan) -> SurfaceMap:
+    return surface.with_scan(pose, EndPoints.of(SENSOR, scan), WAY)
+
+
+def boxes(*sides: tuple[float, float, float, float]) -> np.ndarray:
+    """Return the walls (S, 2, 2) of rectangles (x, y, width, height)."""
+    walls = []
+    for x, y, width, height in sides:
+        corners = np.array([[x, y], [x + width, y], [x + width, y + height], [x, y + height]])
+        walls.append(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1))
+    return np.concatenate(walls)
+
+
+PLACES = {
+    "room": boxes((-3.0, -2.0, 6.0, 4.0), (1.0, -1.0, 0.8, 0.6)),
+    "corridor": boxes((-3.4, -0.9, 6.8, 2.0), (0.5, 0.9, 0.9, 0.2), (-2.0, -0.9, 0.8, 0.2)),
+    "office": np.concatenate(
+        [
+            boxes((-3.4, -2.4, 6.8, 4.8), (-2.9, 1.4, 0.7, 0.5)),
+            np.array([[[-3.4, -0.9], [-2.0, -0.9]], [[-1.2, -0.9], [1.0, -0.9]]]),
+            np.array([[[1.8, -0.9], [3.4, -0.9]], [[1.0, -0.9], [1.0, -2.4]]]),
+            np.array([[[0.4, 1.2], [0.4, 2.4]], [[0.4, 1.2], [3.4, 1.2]]]),
+        ]
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("number", [1, 12])
+def test_errors_of_scan_pairs_are_those_that_are_told(
+    scan_of: ScanOf, name: str, number: int
+) -> None:
+    """The normalised squared errors of 60 matches, each to a map of its own, have a mean of about
+    3, the number of coordinates: 2.0 to 3.3 here, and 4.0 to 12.0 before the map's own noise
+    counted. Of pairs of scans the map has as much of it as the scan."""
+    rng = np.random.default_rng(7)
+    squares = []
+    std = np.array([0.05, 0.05, 0.02])
+    prior = jnp.asarray(np.diag(std**2), jnp.float32)
+    for seed in range(60):
+        place = PLACE + rng.uniform(-1.0, 1.0, 3) * [0.3, 0.1, 0.3]
+        surface = SurfaceMap.empty(GridFrame(SIDE, ORIGIN), SHAPE, jnp.asarray(10.0))
+        for index in range(number):
+            pose = place + rng.uniform(-1.0, 1.0, 3) * [0.3, 0.2, 0.5]
+            scan = scan_of(PLACES[name], pose, SENSOR, 0.03, 100 * seed + index)
+            surface = with_scan(surface, jnp.asarray(pose, jnp.float32), scan)
+        scan = scan_of(PLACES[name], place, SENSOR, 0.03, 90_000 + seed)
+        guess = jnp.asarray(place + std * rng.standard_normal(3), jnp.float32)
+        found = matched(MATCHER, surface, scan, guess, prior)
+        error = np.asarray(found.pose, float) - place
+        squares.append(error @ np.linalg.solve(np.asarray(found.covariance, float), error))
+    assert 1.7 < np.mean(squares) < 4.3
+    # Far fewer than one in a hundred of a chi-squared distribution are beyond 25.
+    assert max(squares) < 25.0
+
+
 def test_a_wrong_guess_is_corrected(
     scan_of: ScanOf, room: np.ndarray, noisy_map: SurfaceMap
 ) -> None:

@@ -86,7 +86,7 @@ class LoopCloser(eqx.Module):
         least_share: ArrayLike = 0.5,
         most_contradicted: ArrayLike = 0.1,
         tolerance: ArrayLike = 0.03,
-        most_stds: ArrayLike = 8.0,
+        most_stds: ArrayLike = 7.0,
         matcher: ScanMatcher | None = None,
     ) -> None:
         self.reach = _checks.scalar("reach", reach, above=0.0)

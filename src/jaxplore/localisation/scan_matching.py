@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, Count, Pose, Scalar
@@ -18,8 +18,20 @@ LEAST_STD = 0.01
 """Least standard deviation of a residual [m]."""
 NOISY = 2.0
 """Information, relative to that which errors of normals add, below which nothing was measured."""
+SAMPLES = 2.0
+"""Weight that an end point gives a cell on its normal: a map takes samples half a cell apart."""
+LEAST_RATIO = 0.2
+"""Least number of mapped end points that is believed for each end point of a scan."""
+MAP_ERROR = 0.02
+"""Standard deviation of the error of a mapped surface that more scans do not lessen [cells]."""
+SECTORS = 16
+"""Number of sectors of a scan in each of which this error is the same."""
 CHUNK = 64
 """Number of poses whose scores are computed at once."""
+
+
+Numbers = Float[Array, " N"]
+Vectors = Float[Array, "N 2"]
 
 
 class ScanMatch(NamedTuple):
@@ -48,16 +60,25 @@ class ScanMatcher(eqx.Module):
 
     Gauss-Newton then minimises the sum over i of w_i d(T(p) x_i)^2 / s^2 and the distance from the
     guess, with the weights w_i = (1 + d^2 / sigma^2)^-2 of Geman and McClure. With J_i the gradient
-    of d(T(p) x_i) and s^2 the weighted mean of the squared distances, the covariance is
+    of d(T(p) x_i), s^2 the weighted mean of the squared distances and psi = w d, the covariance is
+    that of such an estimate (the sandwich of Huber),
 
-        (sum over i of w_i J_i' J_i / s^2 + P^-1)^-1
+        H^-1 M H^-1,   H = E[psi'] sum over i of J_i' J_i / s^2 + P^-1
+        M = E[psi^2] sum over i of (1 + 1 / r_i) J_i' J_i / s^4
+            + b^2 sum over g of S_g' S_g / s^4 + P^-1
+
+    The map is made of end points with noise of their own, which all points beside them share: r_i
+    is their number for each point of the scan. b is an error of the map that does not become less
+    with more scans, from cells and corners: 2 % of a cell, the same within each of 16 sectors, for
+    which S_g is the sum of the w_i J_i.
 
     Where the end point is on a line, its normal takes the place of the gradient of d. Directions in
     which the sum is no more than what errors of normals would add, such as along a corridor, are
     left out of it, and of the steps.
 
     Source: Olson, "Real-time correlative scan matching", ICRA 2009; Kohlbrecher et al., "A flexible
-    and scalable SLAM system with full 3D motion estimation", SSRR 2011.
+    and scalable SLAM system with full 3D motion estimation", SSRR 2011; Huber, "The behavior of
+    maximum likelihood estimates under nonstandard conditions", 1967.
 
     Args:
         sigma: distance at which an end point counts half as much or less [m].
@@ -122,8 +143,11 @@ class ScanMatcher(eqx.Module):
             return better
 
         pose: Pose = jax.lax.fori_loop(0, self.iterations, step, start)
-        information, _, _, share, residual = self._system(surface, ends, pose, way)
-        found = jnp.linalg.inv(kept @ information @ kept.T + prior)
+        _, _, _, share, residual = self._system(surface, ends, pose, way)
+        information, spread = self._sandwich(surface, ends, pose, way)
+        inverse = jnp.linalg.inv(kept @ information @ kept.T + prior)
+        found = inverse @ (kept @ spread @ kept.T + prior) @ inverse
+        found = 0.5 * (found + found.T)
         is_finite = jnp.isfinite(pose).all() & jnp.isfinite(found).all()
         return ScanMatch(
             jnp.where(is_finite, pose, guess),
@@ -171,16 +195,7 @@ class ScanMatcher(eqx.Module):
     ) -> tuple[Matrix, Matrix, Pose, Scalar, Scalar]:
         """Return the information of a scan, what of it the errors of normals add, the gradient, the
         share and the residual at a pose."""
-        points = placed(pose, ends.points)
-        away, slope, is_known = jax.vmap(surface.at, (0, None))(points, way)
-        # The map's own slope along a wall is noise, which would count as information.
-        own = placed(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
-        slope = jnp.where(ends.is_flat[:, None], own, slope)
-        arm = points - pose[:2]
-        is_used = ends.is_point & is_known
-        weight = jnp.where(is_used, (1.0 + (away / self.sigma) ** 2) ** -2, 0.0)
-        variance = jnp.sum(weight * away**2) / jnp.maximum(weight.sum(), 1.0)
-        least = jnp.maximum(variance, LEAST_STD**2)
+        away, slope, arm, is_used, weight, least = self._residuals(surface, ends, pose, way)
         rows = _rows(slope, arm)
         information = jnp.einsum("n,ni,nj->ij", weight, rows, rows) / least
         along = _rows(jnp.stack([-slope[:, 1], slope[:, 0]], axis=1), arm)
@@ -189,7 +204,53 @@ class ScanMatcher(eqx.Module):
         is_near = is_used & (jnp.abs(away) <= 2.0 * self.sigma)
         number = jnp.maximum(ends.is_point.sum(dtype=jnp.float32), 1.0)
         share = is_near.sum(dtype=jnp.float32) / number
-        return information, tilt, gradient, share, jnp.sqrt(variance)
+        residual = jnp.sqrt(jnp.sum(weight * away**2) / jnp.maximum(weight.sum(), 1.0))
+        return information, tilt, gradient, share, residual
+
+    def _residuals(
+        self, surface: SurfaceMap, ends: EndPoints, pose: Pose, way: Scalar
+    ) -> tuple[Numbers, Vectors, Vectors, Bool[Array, " N"], Numbers, Scalar]:
+        """Return the distances of the end points, their slopes, the points relative to the sensor,
+        which of them count, their weights, and the weighted mean of the squares, at least that of
+        `LEAST_STD`."""
+        points = placed(pose, ends.points)
+        away, slope, is_known = jax.vmap(surface.at, (0, None))(points, way)
+        # The map's own slope along a wall is noise, which would count as information.
+        own = placed(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
+        slope = jnp.where(ends.is_flat[:, None], own, slope)
+        is_used = ends.is_point & is_known
+        weight = jnp.where(is_used, (1.0 + (away / self.sigma) ** 2) ** -2, 0.0)
+        variance = jnp.sum(weight * away**2) / jnp.maximum(weight.sum(), 1.0)
+        least = jnp.maximum(variance, LEAST_STD**2)
+        return away, slope, points - pose[:2], is_used, weight, least
+
+    def _sandwich(
+        self, surface: SurfaceMap, ends: EndPoints, pose: Pose, way: Scalar
+    ) -> tuple[Matrix, Matrix]:
+        """Return H and M of the covariance, without the prior."""
+        away, slope, arm, is_used, weight, least = self._residuals(surface, ends, pose, way)
+        rows, used = _rows(slope, arm), is_used.astype(jnp.float32)
+        number = jnp.maximum(used.sum(), 1.0)
+        square = (away / self.sigma) ** 2
+        # psi' is w + d w', which is negative far from the surface.
+        bend = weight * (1.0 - 4.0 * square / (1.0 + square))
+        bent = jnp.maximum(bend.sum() / number, 0.1)
+        freedom = jnp.maximum(number / jnp.maximum(number - 3.0, 1.0), 1.0)
+        noise = freedom * jnp.sum((weight * away) ** 2) / number
+        noise = jnp.maximum(noise, (bent * LEAST_STD) ** 2)
+        # How many end points the map has there for each one of the scan.
+        points, side = arm + pose[:2], surface.frame.resolution
+        row, column = jnp.unstack(jax.vmap(surface.frame.to_cell)(points), axis=-1)
+        mapped = surface.weights.at[row, column].get(mode="fill", fill_value=0.0) / SAMPLES
+        beside = jnp.roll(points, -1, axis=0) - jnp.roll(points, 1, axis=0)
+        apart = jnp.minimum(0.5 * jnp.hypot(beside[:, 0], beside[:, 1]) / side, 1.0)
+        ratio = jnp.maximum(mapped * apart, LEAST_RATIO)
+        information = bent * jnp.einsum("n,ni,nj->ij", used, rows, rows) / least
+        own = noise * jnp.einsum("n,ni,nj->ij", used * (1.0 + 1.0 / ratio), rows, rows)
+        sector = jnp.arange(rows.shape[0]) * SECTORS // rows.shape[0]
+        sums = jax.ops.segment_sum(weight[:, None] * rows, sector, SECTORS)
+        shared = (MAP_ERROR * side) ** 2 * (sums.T @ sums)
+        return information, (own + shared) / least**2
 
 
 def _rows(slope: Float[Array, "N 2"], arm: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
