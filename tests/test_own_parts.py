@@ -65,6 +65,11 @@ MINE = """
         raise ValueError(f"it is a {type(rule).__name__} of {type(rule).__module__}")
 
 
+    class Wrong(Near):
+        def scores(self, frontiers, *, key):
+            return frontiers.distances
+
+
     near, cart, number = Near(), Cart(), 3
 """
 SMALL = {"office": {"width": 9.0, "height": 8.0}, "controller": {"num_samples": 16}}
@@ -149,6 +154,16 @@ def test_what_is_no_part_is_one_line(mine, fails, arguments: tuple[str, ...], re
     option, value = arguments
     line = fails("run", "office", option, value.replace("MINE", module))
     assert reason.replace("MINE", module) in line
+
+
+def test_a_mistake_in_a_rule_is_one_line_behind_the_progress(mine, capsys) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "office", "--architecture", mine("Wrong"), *ROOM])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "jaxplore: rule Wrong fails in scores: AttributeError: 'Frontiers' object has no attribute "
+        "'distances'"
+    )
 
 
 def test_a_settings_file_names_code_only_if_it_is_trusted(

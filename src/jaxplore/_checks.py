@@ -39,9 +39,13 @@ def warn_above(name: str, value: ArrayLike, most: float, meaning: str) -> None:
     """
     if is_traced(value) or not abs(float(np.asarray(value))) > most:
         return
-    # The line that a user wrote is named: not ours, nor that of Equinox, which calls constructors.
+    warn_user(f"{name} is {float(np.asarray(value)):g}; {meaning}")
+
+
+def warn_user(text: str) -> None:
+    """Warn at the line that a user wrote."""
+    # Not at ours, nor at that of Equinox, which calls constructors.
     ours = (str(Path(__file__).parent), str(Path(sys.modules["equinox"].__file__ or "").parent))
-    text = f"{name} is {float(np.asarray(value)):g}; {meaning}"
     warnings.warn(text, UserWarning, skip_file_prefixes=ours)
 
 

@@ -4,6 +4,7 @@ Every file from outside is opened by `open_regular`, and every YAML and JSON of 
 `parse_yaml` and `parse_json`.
 """
 
+import codecs
 import errno
 import json
 import os
@@ -42,6 +43,8 @@ _LONGEST_SCALAR = 10_000
 """Longest single value of a YAML text [characters]: numbers to base 60 take quadratic time."""
 # In C and some ten times as fast, but missing where PyYAML was built without libyaml.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_REPLACED = "\ufffd"
+"""What Python puts in place of bytes that are no UTF-8."""
 _NO_FILE = (
     errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENXIO, errno.ELOOP, errno.ENAMETOOLONG,
 )  # fmt: skip
@@ -133,9 +136,10 @@ def parse_yaml(text: bytes | str, limit: int = YAML_LIMIT) -> Any:
         ValueError: a text that is too long, no YAML, or too intricate; one line without the text.
     """
     _check_length(text, limit)
+    readable = _readable_text(text)
     try:
-        _refuse_intricate(text)
-        return yaml.load(text, _LOADER)
+        _refuse_intricate(readable)
+        value = yaml.load(readable, _LOADER)
     except UnicodeError:
         raise ValueError("it is no text in UTF-8") from None
     except (ValueError, yaml.YAMLError) as error:
@@ -143,6 +147,20 @@ def parse_yaml(text: bytes | str, limit: int = YAML_LIMIT) -> Any:
     except Exception as error:
         # PyYAML passes on what its conversions raise: KeyError, IndexError and many more.
         raise ValueError(f"a value in it cannot be read ({type(error).__name__})") from None
+    if readable is not text and _REPLACED in str(value):
+        raise ValueError("a value in it is no text in UTF-8")
+    return value
+
+
+def _readable_text(text: bytes | str) -> bytes | str:
+    """Replace bytes that are no UTF-8, so that comments may be in any encoding, such as Latin-1."""
+    if isinstance(text, str) or text.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return text
+    try:
+        text.decode()
+    except UnicodeDecodeError:
+        return text.decode(errors="replace")
+    return text
 
 
 def parse_json(text: bytes | str, limit: int = JSON_LIMIT) -> Any:

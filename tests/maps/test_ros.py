@@ -3,6 +3,7 @@ import io
 import math
 import os
 import struct
+import warnings
 import zlib
 
 import numpy as np
@@ -17,6 +18,10 @@ from jaxplore import _files
 from jaxplore.maps.files import ros
 from jaxplore.maps.files.ros import read_map, write_map
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+
+# Most maps here are of a few cells at the thresholds; what is said of them has tests of its own.
+DOUBT = ".*(lie at (free|occupied)_thresh|which map savers write|are not opaque)"
+pytestmark = pytest.mark.filterwarnings(f"ignore:{DOUBT}:UserWarning")
 
 ENTRIES = {
     "image": "map.pgm",
@@ -88,6 +93,7 @@ IMAGES = {
     "palette_png": encoded(Image.fromarray(GREYS).convert("RGB").quantize(8)),
     "wide_pgm": b"P5\n# 16 bits\n3 2\n65535\n" + (GREYS.astype(">u2") * 257).tobytes(),
     "wide_plain_pgm": b"P2 3 2 65535 0 22873 23130 52685 52942 65535",
+    "webp": encoded(GREYS, "RGB", "WEBP", lossless=True),
     "wide_png": encoded(GREYS.astype(np.uint16) * np.uint16(257)),
 }
 
@@ -101,7 +107,7 @@ def test_every_image_format_gives_the_same_map(tmp_path, image):
     assert origin == (-1.0, 2.5, 0.25)
 
 
-@pytest.mark.parametrize("negate", [1, True])
+@pytest.mark.parametrize("negate", [1, True, "1", "True"])
 def test_trinary_negated(tmp_path, negate):
     image = encoded(NEGATED_GREYS)
     np.testing.assert_array_equal(values(store(tmp_path, image, negate=negate)), TRINARY)
@@ -150,6 +156,137 @@ RGBA = np.array(
 def test_alpha(tmp_path, mode, expected):
     path = store(tmp_path, encoded(RGBA), mode=mode)
     np.testing.assert_array_equal(values(path), np.float32([expected]))
+
+
+def nav2_of_2025(pixels, mode, low, high, negate):
+    """Read pixels (H, W, 4) as `map_io.cpp` of 2025 does, one at a time; -1 is unknown."""
+    cells = []
+    for red, green, blue, alpha in pixels.reshape(-1, 4).tolist():
+        grey = math.floor(0.212656 * red + 0.715158 * green + 0.072186 * blue + 0.5)
+        if mode == "raw":
+            cells.append(grey if grey <= 100 else -1)
+            continue
+        occ = np.float32(grey) / np.float32(255)
+        occ = occ if negate else np.float32(1) - occ
+        if alpha < 255:
+            cells.append(-1)
+        elif occ <= np.float32(low):
+            cells.append(0)
+        elif occ >= np.float32(high):
+            cells.append(100)
+        elif mode == "trinary":
+            cells.append(-1)
+        else:
+            cells.append(round(100 * (float(occ) - low) / (high - low)))
+    return np.array(cells).reshape(pixels.shape[:2])[::-1]
+
+
+@pytest.mark.parametrize("mode", ["trinary", "Scale", "RAW"])
+def test_the_rules_of_2025(tmp_path_factory, mode):
+    folder = tmp_path_factory.mktemp("rules")
+    greys = st.sampled_from([0, 50, 51, 89, 90, 127, 204, 205, 206, 254, 255])
+    pixels = hnp.arrays(np.uint8, (3, 4, 4), elements=greys)
+    # 51 / 255 is 0.2 and 204 / 255 is 0.8, where single and double precision differ.
+    thresholds = st.sampled_from([(0.196, 0.65), (0.2, 0.8), (0.25, 0.65), (0.0, 1.0)])
+
+    @given(pixels, thresholds, st.booleans(), st.booleans())
+    def agrees(picture, bounds, negate, is_grey):
+        if is_grey:
+            picture = np.concatenate([picture[..., :1]] * 3 + [picture[..., 3:]], axis=-1)
+        low, high = bounds
+        path = store(
+            folder,
+            encoded(picture),
+            mode=mode,
+            negate=negate,
+            free_thresh=low,
+            occupied_thresh=high,
+        )
+        expected = nav2_of_2025(picture, mode.lower(), low, high, negate)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found, _, _ = read_map(path, rules="nav2_2025")
+        np.testing.assert_array_equal(np.rint(100 * found), np.where(expected < 0, 50, expected))
+
+    agrees()
+
+
+def test_images_that_lose_detail_keep_walls_and_what_is_free(tmp_path):
+    picture = np.full((40, 60), 254, np.uint8)
+    picture[:8], picture[-16:] = 0, 205
+    for kind in ("JPEG", "WEBP"):
+        found = values(store(tmp_path, encoded(picture, "RGB", kind, quality=95)))
+        np.testing.assert_array_equal(np.unique(found[-7:]), [1.0])
+        np.testing.assert_array_equal(np.unique(found[18:-9]), [0.0])
+        np.testing.assert_array_equal(np.unique(found[:14]), [0.5])
+
+
+def test_comments_in_another_encoding_are_comments(tmp_path):
+    path = store(tmp_path)
+    text = path.read_bytes()
+    path.write_bytes("# cartographié à Zürich\n".encode("latin-1") + text)
+    assert values(path).shape == (1, 1)
+    path.write_bytes(text.replace(b"map.pgm", "pièce.pgm".encode("latin-1")))
+    refused(lambda: read_map(path), path, "a value in it is no text in UTF-8")
+
+
+GREY_205 = np.full((10, 10), 254, np.uint8)
+GREY_205[:4] = 205
+
+
+@pytest.mark.parametrize(
+    ("picture", "entries", "said"),
+    [
+        (
+            GREY_205,
+            {"free_thresh": 0.25},
+            "40.0 % of the cells have grey 205, .* read as free; unk",
+        ),
+        (GREY_205, {"negate": 1}, "40.0 % of the cells have grey 205, .* are read as occupied"),
+        # Opaque, with the alpha channel as a fourth colour: (3 x 205 + 255) / 4 is 217.5.
+        (
+            np.stack([GREY_205] * 3 + [np.full_like(GREY_205, 255)], axis=-1),
+            {},
+            "40.0 % of the cells have grey 205, .* are read as free",
+        ),
+        # (3 x 254 + 0) / 4 is 190.5, and black stays black.
+        (
+            np.stack([np.where(GREY_205 == 205, 0, 254)] * 3 + [GREY_205], -1).astype(np.uint8),
+            {"free_thresh": 0.3},
+            "100.0 % of the cells are not opaque .* rules=nav2_2025, in settings map_file.rules",
+        ),
+        (
+            np.where(GREY_205 == 205, 206, 254).astype(np.uint8),
+            {},
+            "40.0 % read as free would be unknown one grey level further: they lie at free_thresh "
+            "0.196, most of them of grey 206",
+        ),
+        (
+            np.where(np.arange(100).reshape(10, 10) < 3, 89, np.where(GREY_205 == 205, 90, 254)),
+            {},
+            "3.0 % read as occupied would be unknown and 37.0 % read as unknown would be occupied",
+        ),
+    ],
+)
+def test_what_is_read_doubtfully_is_told_in_one_line(tmp_path, picture, entries, said):
+    path = store(tmp_path, encoded(picture.astype(np.uint8)), **entries)
+    with pytest.warns(UserWarning, match=said) as told:
+        read_map(path)
+    assert len(told) == 1
+    assert str(told[0].message).startswith(str(path))
+
+
+def test_what_is_meant_is_not_told(tmp_path):
+    path = store(tmp_path, encoded(GREY_205))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.unique(values(path)).tolist() == [0.0, 0.5]
+        path = store(tmp_path, encoded(GREY_205), free_thresh=0.25)
+        found, _, _ = read_map(path, unknown=205)
+        np.testing.assert_array_equal(found, np.where(GREY_205[::-1] == 205, 0.5, 0.0))
+    for bad in (-1, 256):
+        with pytest.raises(ValueError, match=r"unknown is .*; accepted: "):
+            read_map(path, unknown=bad)
 
 
 def test_grey_with_alpha_and_transparent_colours(tmp_path):
@@ -470,7 +607,13 @@ RGB_NOISE = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
         encoded(RGB_NOISE)[:-900],
         encoded(RGB_NOISE)[:20],
         encoded(RGB_NOISE, image_format="BMP")[:-900],
-        encoded(RGB_NOISE, image_format="JPEG"),
+        encoded(RGB_NOISE, image_format="JPEG")[:-900],
+        encoded(RGB_NOISE, image_format="WEBP")[:-900],
+        encoded(RGB_NOISE, image_format="WEBP")[:24],
+        # Libraries of WebP make a decoder with its canvas, here of 16384 x 16384 pixels.
+        b"RIFF\x1e\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0" + b"\xff\x3f\0" * 2,
+        b"RIFF\x1e\0\0\0WEBPVP8L\x0a\0\0\0\x2f\xff\xff\xff\x0f" + bytes(8),
+        b"\xff\xd8" + 101 * b"\xff\xda\0\x08",
         encoded(RGB_NOISE, "P", "GIF"),
         encoded(RGB_NOISE, image_format="TIFF"),
     ],

@@ -176,7 +176,9 @@ def main(folder: Path) -> dict:
         seen["compiled"] = watcher.driver["compiled"]
         seen["plan"] = len(watcher.plans[-1].poses)
         # Then the node chooses goals, and another program drives there.
-        drivers.append(command("node", "--mode", "goal", *node, "--out", str(folder / "goals")))
+        place = ["--set", "node.pose_type=pose", "--set", "node.pose_topic=pose"]
+        line = ["node", "--mode", "goal", *node, *place, "--out", str(folder / "goals")]
+        drivers.append(command(*line))
         follower, before = Follower(watcher.node), watcher.robot["coverage"]
         watcher.wait("two goals are reached", lambda: follower.num_reached >= 2)
         watcher.wait("the map grows", lambda: watcher.robot["coverage"] > before)

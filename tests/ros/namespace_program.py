@@ -11,17 +11,20 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from jaxplore import Lidar, Softmax
+from jaxplore import Lidar, OccupancyGrid, Softmax
+from jaxplore.maps.datum import ORIGIN
 from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.simulated_robot import RobotMeasurement
 from jaxplore.ros import control, robot
 from jaxplore.ros.link import Link, connected
+from jaxplore.ros.messages import odometry_of
 from jaxplore.sensing.beams import Scan
 from jaxplore.settings.node import NodeSettings
 
 PATIENCE = 60.0
 """Longest time that messages may take on a busy machine [s]."""
 NAMES = ("robot1", "fleet/robot2")
+TRUE_POSE = np.array([1.0, 2.0, 0.5])
 LIDAR = Lidar(num_beams=4, max_range=50.0)
 
 
@@ -44,15 +47,19 @@ class Pilot:
 
 
 def simulated():
-    scenario = SimpleNamespace(sensors=(LIDAR,), steps_per_scan=1)
-    return SimpleNamespace(scenario=scenario, period=0.1)
+    scenario = SimpleNamespace(sensors=(LIDAR,), steps_per_scan=1, datum=ORIGIN)
+    grid = OccupancyGrid(np.full((2, 3), 0.5), 0.1)
+    state = SimpleNamespace(belief=SimpleNamespace(grid=grid))
+    return SimpleNamespace(scenario=scenario, period=0.1, state=state)
 
 
 def measured(number: int) -> RobotMeasurement:
     """Return what robot 1 or 2 measures: all ranges 1 m or 2 m, and 10 m or 20 m along x."""
     ranges = np.full(4, number, np.float32)
     scan = Scan(ranges, np.ones(4, bool))
-    return RobotMeasurement(np.array([10.0 * number, 0.0, 0.0]), np.zeros(3), scan)
+    pose = np.array([10.0 * number, 0.0, 0.0])
+    # The odometry has drifted.
+    return RobotMeasurement(pose, np.zeros(3), scan, TRUE_POSE)
 
 
 def main() -> dict:
@@ -63,11 +70,14 @@ def main() -> dict:
         topic = "/fleet/robot2/jaxplore/correction"
         watcher.subscribe(ros.TransformStamped, topic, corrections.append)
         watcher.subscribe(ros.TwistStamped, "/fleet/robot2/cmd_vel", stamped.append)
+        maps, poses = [], []
+        watcher.subscribe(ros.OccupancyGrid, "/robot1/map", maps.append, is_kept=True)
+        watcher.subscribe(ros.PoseWithCovarianceStamped, "/robot1/pose", poses.append)
         robots, drivers = [], []
         for name, kind in zip(NAMES, ("twist", "twist_stamped"), strict=True):
             link = Link(robot.NODE, ros, name)
             robots.append(robot.RobotNode(link, simulated(), command_type=kind, has_map=True))
-            settings = NodeSettings(namespace=name, command_type=kind, pose="internal")
+            settings = NodeSettings(namespace=name, pose="internal")
             link = Link(control.NODE, ros, settings.namespace)
             drivers.append(control.ControlNode(link, Pilot(), settings))
         for each in (*robots, *drivers):
@@ -83,8 +93,9 @@ def main() -> dict:
             order.publish(message)
             for index, (each, driver) in enumerate(zip(robots, drivers, strict=True)):
                 each._publish(measured(index + 1), each.link.now())
+                each._publish_map(each.link.now())
                 twist = np.array([0.1 * (index + 1), 0.0, 0.0])
-                driver._publish_command(Command(twist, Mode.DRIVING, "", None))
+                driver._commands.publish(Command(twist, Mode.DRIVING, "", None))
                 tree = driver._frame_name, driver._pose_frame
                 driver._publisher.publish_transform(each.link.now(), *tree)
             time.sleep(0.1)
@@ -95,7 +106,7 @@ def main() -> dict:
                 frames[index] |= {pose.frame for pose in driver._poses}
                 driver._take_messages()
                 commands[index] |= {round(float(twist[0]), 6) for twist in each._commands}
-            heard = [*frames, *commands, orders[0], stamped, corrections]
+            heard = [*frames, *commands, orders[0], stamped, corrections, maps, poses]
             if all(heard) and all(d.pilot.ranges and d.pilot.positions for d in drivers):
                 ends = min(ends, time.monotonic() + 1.0)
         seen["frames"] = [sorted(each) for each in frames]
@@ -105,6 +116,9 @@ def main() -> dict:
         seen["positions"] = [sorted(each.pilot.positions) for each in drivers]
         seen["stamped"] = sorted({each.header.frame_id for each in stamped})
         seen["tree"] = [corrections[-1].header.frame_id, corrections[-1].child_frame_id]
+        seen["place"] = odometry_of(poses[-1]).pose.tolist()
+        seen["map"] = [maps[-1].header.frame_id, poses[-1].header.frame_id]
+        seen["types"] = [driver._commands.type for driver in drivers]
         seen["topics"] = [name for name, _ in watcher.node.get_topic_names_and_types()]
         seen["services"] = [name for name, _ in watcher.node.get_service_names_and_types()]
         # A second node of one namespace is refused, beside the one of the other.

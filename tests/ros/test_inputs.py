@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxplore.onboard.drive_clock import Instant
-from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
+from jaxplore.ros.inputs import CHAIN_SECONDS, subscribe_pose, subscribe_scan
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.no_echo import NoEcho
@@ -19,12 +19,15 @@ class FakeLink:
     def __init__(self, **kinds) -> None:
         names = ("Odometry", "PoseWithCovarianceStamped", "LaserScan", "TFMessage")
         self.ros = SimpleNamespace(**dict.fromkeys(names, "a class"), **kinds)
-        self.handles, self.infos = {}, []
+        self.handles, self.infos, self.warnings = {}, [], []
 
     def info(self, message) -> None:
         self.infos.append(message)
 
-    def subscribe(self, kind, topic, handle, *, is_kept=False) -> None:
+    def warn(self, kind, message) -> None:
+        self.warnings.append(message)
+
+    def subscribe(self, kind, topic, handle, **_) -> None:
         self.handles[topic] = handle
 
     def topic(self, name) -> str:
@@ -110,17 +113,53 @@ def test_transforms_need_their_package() -> None:
         subscribe_pose(link, NodeSettings(pose_type="tf"), print)
 
 
+def transform(parent, child, x, seconds=3):
+    place = SimpleNamespace(x=x, y=0.0, z=0.0)
+    rotation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+    inner = SimpleNamespace(translation=place, rotation=rotation)
+    return SimpleNamespace(header=header(parent, seconds), child_frame_id=child, transform=inner)
+
+
 def test_only_transforms_between_the_named_frames_count() -> None:
     link, taken = FakeLink(), []
     subscribe_pose(link, NodeSettings(pose_type="tf"), taken.append)
-
-    def transform(parent, child, x):
-        place = SimpleNamespace(x=x, y=0.0, z=0.0)
-        rotation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
-        inner = SimpleNamespace(translation=place, rotation=rotation)
-        return SimpleNamespace(header=header(parent), child_frame_id=child, transform=inner)
-
     several = [transform("map", "odom", 9.0), transform("odom", "base_link", 4.0)]
     link.handles["/tf"](SimpleNamespace(transforms=several))
     link.handles["/tf"](SimpleNamespace(transforms=several[:1]))
     assert [each.pose[0] for each in taken] == [4.0]
+
+
+def test_a_pose_leads_over_all_transforms_between_and_is_news_with_all_of_them() -> None:
+    link, taken = FakeLink(), []
+    link.warn_of_clock = lambda *_: None
+    settings = NodeSettings(pose_type="tf", world_frame="map")
+    subscribe_pose(link, settings, taken.append)
+
+    def hear(*transforms, topic="/tf"):
+        link.handles[topic](SimpleNamespace(transforms=transforms))
+
+    hear(transform("base_footprint", "base_link", 0.5, 0), topic="/tf_static")
+    hear(transform("odom", "base_footprint", 4.0, 3))
+    assert taken == []
+    hear(transform("map", "odom", 10.0, 3))
+    # The odometry goes on, the localisation does not: the robot's place is not known anew.
+    hear(transform("odom", "base_footprint", 5.0, 4))
+    # That of a gripper that nobody has calibrated hides no other.
+    broken = transform("wrist", "gripper", float("nan"), 5)
+    with pytest.raises(ValueError, match="translation is"):
+        hear(broken, transform("map", "odom", 10.0, 4))
+    assert [(each.time, each.frame, each.pose[0]) for each in taken] == [
+        (3.0, "map", 14.5),
+        (4.0, "map", 15.5),
+    ]
+
+
+def test_a_gap_between_transforms_is_named_after_a_while(monkeypatch) -> None:
+    link, times = FakeLink(), iter((0.0, CHAIN_SECONDS - 0.1, CHAIN_SECONDS))
+    monkeypatch.setattr("jaxplore.ros.inputs.time.monotonic", lambda: next(times))
+    subscribe_pose(link, NodeSettings(pose_type="tf", world_frame="map"), print)
+    for _ in range(3):
+        link.handles["/tf"](SimpleNamespace(transforms=[transform("odom", "base_link", 4.0)]))
+    assert link.warnings == [
+        "no transforms lead from map to base_link; heard: odom -> base_link",
+    ]

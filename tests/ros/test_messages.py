@@ -247,33 +247,6 @@ def test_paths_and_rollouts_go_there(poses) -> None:
     np.testing.assert_array_equal(np.array(drawn).reshape(lines.shape), lines)
 
 
-def transform(parent: str, child: str, x: float):
-    message = Plain(child_frame_id=child)
-    message.header = Plain(frame_id=parent)
-    message.header.stamp = Plain(sec=1, nanosec=0)
-    place = Plain()
-    messages.fill_pose(place, (x, 2.0, 0.5))
-    message.transform = Plain(translation=place.position, rotation=place.orientation)
-    return message
-
-
-def test_a_transform_that_was_filled_is_read_again() -> None:
-    message = Plain()
-    messages.fill_transform(message, 2.5, "map", "odom", (1.0, -2.0, 0.7))
-    found = messages.transform_of([message], "map", "odom")
-    assert (found.time, found.frame) == (2.5, "map")
-    np.testing.assert_allclose(found.pose, [1.0, -2.0, 0.7])
-
-
-def test_a_transform_is_that_between_the_two_frames() -> None:
-    given_ = [transform("map", "odom", 1.0), transform("/odom", "base_link", 3.0)]
-    found = messages.transform_of(given_, "odom", "base_link")
-    np.testing.assert_allclose(found.pose, [3.0, 2.0, 0.5])
-    assert messages.transform_of(given_, "map", "base_link") is None
-    with pytest.raises(ValueError, match="translation is"):
-        messages.transform_of([transform("odom", "base_link", math.inf)], "odom", "base_link")
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_velocities_that_are_not_finite_are_refused(value) -> None:
     message = Plain()

@@ -67,9 +67,20 @@ def test_frames_begin_with_the_namespace(seen) -> None:
 
 
 @ros
+def test_the_map_and_the_pose_in_it_have_its_frame_whatever_the_odometry_says(seen) -> None:
+    assert seen["place"] == pytest.approx([1.0, 2.0, 0.5])
+    assert seen["map"] == ["robot1/map", "robot1/map"]
+
+
+@ros
+def test_the_type_of_commands_is_found_from_the_graph(seen) -> None:
+    assert seen["types"] == ["twist", "twist_stamped"]
+
+
+@ros
 def test_no_topic_and_no_service_is_outside_of_the_namespaces(seen) -> None:
     # The tree of transforms is shared, and the rest is of ROS itself.
-    shared = {"/tf", "/rosout", "/parameter_events"}
+    shared = {"/tf", "/tf_static", "/rosout", "/parameter_events"}
     names = [
         *(name for name in seen["topics"] if name not in shared),
         *(name for name in seen["services"] if not name.startswith("/watcher/")),
@@ -164,7 +175,7 @@ def test_transforms_are_looked_up_under_the_namespace(frames, found) -> None:
         def warn_of_clock(self, _, stamped, at):
             assert stamped == at.clock
 
-        def subscribe(self, kind, topic, handle, *, is_kept=False):
+        def subscribe(self, kind, topic, handle, **_):
             self.handles[topic] = handle
 
     link, taken = Deaf(), []
@@ -172,7 +183,8 @@ def test_transforms_are_looked_up_under_the_namespace(frames, found) -> None:
 
     def transform(parent, child, x):
         rotation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
-        place = SimpleNamespace(translation=SimpleNamespace(x=x, y=0.0), rotation=rotation)
+        translation = SimpleNamespace(x=x, y=0.0, z=0.0)
+        place = SimpleNamespace(translation=translation, rotation=rotation)
         stamp = SimpleNamespace(sec=1, nanosec=0)
         header = SimpleNamespace(frame_id=parent, stamp=stamp)
         return SimpleNamespace(header=header, child_frame_id=child, transform=place)

@@ -1,5 +1,7 @@
 """Live views of runs, with pages that speak viser's protocol in place of browsers."""
 
+import contextlib
+import gc
 import itertools
 import json
 import math
@@ -475,4 +477,34 @@ def test_values_that_a_page_makes_up_are_held_within_the_sliders(view, page, exp
 def test_nothing_is_printed_by_the_server(capfd) -> None:
     with warnings.catch_warnings():
         LiveView().close()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_bytes_that_are_no_messages_print_nothing(capfd) -> None:
+    """Random ones, and messages of viser with content that it does not expect."""
+    view = LiveView()
+    headers = {"subprotocols": [f"viser-v{viser.__version__}"], "max_size": None}
+    odd = [
+        bytes(np.random.default_rng(0).integers(0, 256, 300, np.uint8)),
+        b"",
+        "a text",
+        msgspec.msgpack.encode([1, 2, 3]),
+        msgspec.msgpack.encode({"type": "GuiUpdateMessage"}),
+        msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": [1], "updates": 3}),
+        msgspec.msgpack.encode({"type": "NoMessage"}),
+    ]
+    address = view.link.replace("http://", "ws://")
+    for each in odd:
+        with (
+            connect(address, **headers) as page,
+            contextlib.suppress(ConnectionClosed, TimeoutError),
+        ):
+            page.send(each)
+            while True:
+                page.recv(0.3)
+    # It still serves pages.
+    with connect(address, **headers) as page:
+        assert page.recv(10.0)
+    view.close()
+    gc.collect()
     assert capfd.readouterr() == ("", "")

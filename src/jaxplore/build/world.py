@@ -118,8 +118,9 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
     A start that is not given is the position with the greatest clearance, heading along x.
     """
     given, ground, datum = settings.terrain, None, map_datum(settings.map)
+    reading = arguments(settings.map_file, OccupancyGrid.from_ros)
     if given.height_map is None:
-        grid = OccupancyGrid.from_ros(settings.map, datum=datum)
+        grid = OccupancyGrid.from_ros(settings.map, datum=datum, **reading)
         if grid.resolution < settings.resolution * ENOUGH:
             grid = grid.resample(settings.resolution)
     else:
@@ -129,6 +130,7 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
             given.height_map,
             elevation_scale=given.elevation_scale,
             datum=datum,
+            **reading,
             **options,
         )
         if terrain.resolution < settings.resolution * ENOUGH:

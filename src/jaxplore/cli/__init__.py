@@ -25,7 +25,7 @@ from jaxplore.cli._node_commands import node, replay, robot
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
-from jaxplore.cli._terminal import say, show_warning
+from jaxplore.cli._terminal import say, warning_printer
 from jaxplore.cli._tune_options import tune_options
 from jaxplore.cli._view_options import host_option, view_options
 
@@ -273,7 +273,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: command-line arguments; those of the process when absent.
     """
     shown_by_python = warnings.showwarning
-    warnings.showwarning = show_warning
+    warnings.showwarning = warning_printer()
     try:
         cli.main(arguments, standalone_mode=False, prog_name="jaxplore")
         if sys.stdout is not None:

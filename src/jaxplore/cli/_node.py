@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-from jaxplore._exit import INTERRUPTED
+from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import LONGEST_LATENCY
 from jaxplore._signals import stop_requests
 from jaxplore.build.onboard import build_goal_chooser, build_pilot, make_node_settings
@@ -46,7 +46,7 @@ COMMANDS = "commands.csv"
 def drive(options: dict[str, Any]) -> None:
     """Drive a robot until it is done or the user stops it, and write a run folder.
 
-    The exit code is 130 if the user stopped it.
+    The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
 
     Raises:
         ValueError: options that are not accepted, no ROS 2, or another node that drives the robot.
@@ -95,6 +95,8 @@ def drive(options: dict[str, Any]) -> None:
     print_table(rows, has_header=False)
     if driver.gave_way:
         raise ValueError(driver.gave_way)
+    if driver.gave_up:
+        sys.exit(FAILED)
     if is_stopped.is_set():
         sys.exit(INTERRUPTED)
 
@@ -192,7 +194,7 @@ def _monitors(options: dict[str, Any], folder: Path, stack: ExitStack) -> list[M
 def choose_goals(settings: Settings, node: NodeSettings) -> None:
     """Publish goals until no place is worth a visit, or the user stops it.
 
-    The exit code is 130 if the user stopped it.
+    The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
 
     Raises:
         ValueError: no ROS 2, or settings that a part rejects.
@@ -207,6 +209,8 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
         )
         reason = chosen.run(is_stopped)
     say(f"Done after {chosen.num_goals} goals: {reason}", err=True)
+    if chosen.gave_up:
+        sys.exit(FAILED)
     if is_stopped.is_set():
         sys.exit(INTERRUPTED)
 

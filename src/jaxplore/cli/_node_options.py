@@ -113,7 +113,8 @@ def robot_options(command: Any) -> Any:
                 "--map/--no-map",
                 "has_map",
                 default=True,
-                help="Publish the map of what the lidar has seen on /map.",
+                help="Publish the map of what the lidar has seen on /map, the pose in it on /pose, "
+                "and the transform from map to odom, as SLAM nodes do.",
             ),
             NAMESPACE,
             ANIMATION,

@@ -96,7 +96,8 @@ def with_options(*without: str) -> Callable[[Any], Any]:
             nargs=2,
             type=float,
             metavar="X Y",
-            help="Goal position [m]; zones define their own.",
+            help="Goal position [m], reached within the setting goal_radius; zones define their "
+            "own.",
         ),
     ]
     for flag, setting, kind, text in _OPTIONS:

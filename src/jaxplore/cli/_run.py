@@ -11,7 +11,7 @@ from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
-from jaxplore.cli._show import free_name, reserve, save, show_starts, show_unread
+from jaxplore.cli._show import free_name, reserve, save, show_goal, show_starts, show_unread
 from jaxplore.cli._view_options import VIEW
 from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_recording
 from jaxplore.simulation.experiment import Experiment
@@ -71,6 +71,7 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     if former is not None:
         _check_continues(former, experiment, resume)
     show_starts({"": given}, {"": entries})
+    show_goal(settings, experiment.scenario)
     num_trajectories = NUM_TRAJECTORIES if pictures.animation or pictures.video else 0
     if former is not None:
         # All frames of a run have as many rollouts.

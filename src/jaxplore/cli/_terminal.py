@@ -1,5 +1,6 @@
 """The place where the commands write to the terminal."""
 
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -18,12 +19,19 @@ def say(text: str, *, err: bool = False, nl: bool = True) -> None:
     click.echo(printable(text), err=err, nl=nl)
 
 
-def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Write a warning as one line: who gave a command has no use for a line of our code.
+def warning_printer() -> Callable[..., None]:
+    """Return a function that writes each warning once, as one line.
 
-    The name of the program stands before errors only.
-
-    Args:
-        message: the warning; the other arguments are those of `warnings.showwarning`.
+    Who gave a command has no use for a line of our code, nor for a warning of each time that a map
+    is read. The name of the program stands before errors only. Its arguments are those of
+    `warnings.showwarning`.
     """
-    say(one_line(f"warning: {message}"), err=True)
+    shown: set[str] = set()
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        line = one_line(f"warning: {message}")
+        if line not in shown:
+            shown.add(line)
+            say(line, err=True)
+
+    return show

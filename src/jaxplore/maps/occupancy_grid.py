@@ -85,17 +85,29 @@ class OccupancyGrid(eqx.Module):
         return cls(filled, frame.resolution, frame.origin)
 
     @classmethod
-    def from_ros(cls, path: str | PathLike[str], *, datum: Datum = ORIGIN) -> "OccupancyGrid":
+    def from_ros(
+        cls,
+        path: str | PathLike[str],
+        *,
+        datum: Datum = ORIGIN,
+        rules: ros.MapRules = "nav2",
+        unknown: int | None = None,
+    ) -> "OccupancyGrid":
         """Read a ROS `map_server` map (see `jaxplore.maps.files.ros.read_map`).
 
         Args:
             path: path of the YAML file.
             datum: point of the map's coordinates to which the grid is relative, which a map far
                 from the origin needs: `jaxplore.maps.map_datum` chooses it.
+            rules: rules of nav2's map server by which the image is read: `nav2`, those until 2025,
+                or `nav2_2025`, where both thresholds are inclusive and what is not opaque is
+                unknown.
+            unknown: grey from 0 to 255 that is read as unknown, whatever the thresholds say, such
+                as 205, which map savers write; none when absent.
         """
         _kinds.instance("path", path, str, PathLike)
         _kinds.instance("datum", datum, Datum)
-        probability, resolution, origin = ros.read_map(path)
+        probability, resolution, origin = ros.read_map(path, rules=rules, unknown=unknown)
         return cls(probability, resolution, datum.to_local(origin))
 
     def to_ros(

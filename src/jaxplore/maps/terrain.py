@@ -18,6 +18,7 @@ from jaxplore._types import ArrayLike, GridMask, GridValues, Vector
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files import terrain_file
 from jaxplore.maps.files.images import read_greys
+from jaxplore.maps.files.ros import MapRules
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import HIGHEST, Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -103,7 +104,7 @@ class TerrainMap(eqx.Module):
         elevation_scale: float = 5.0,
         **ground_options: Any,
     ) -> "TerrainMap":
-        """Build a terrain map from two grey images of one size: PGM, PNG or BMP, 8 or 16 bits.
+        """Build a terrain map from two grey images of one size: PGM, PNG, BMP, JPEG or WebP.
 
         In the occupancy image black is free, white is occupied, the probability is linear in
         between, and a transparent pixel is unknown. In the height image black is 0 m and white is
@@ -137,13 +138,16 @@ class TerrainMap(eqx.Module):
         *,
         elevation_scale: float = 5.0,
         datum: Datum = ORIGIN,
+        rules: MapRules = "nav2",
+        unknown: int | None = None,
         **ground_options: Any,
     ) -> "TerrainMap":
         """Build a terrain map from a ROS `map_server` map and a grey elevation image of its size.
 
-        See `OccupancyGrid.from_ros` for the map and `datum`, and `from_images` for `height_image`.
+        See `OccupancyGrid.from_ros` for the map, `datum`, `rules` and `unknown`, and `from_images`
+        for `height_image`.
         """
-        grid = OccupancyGrid.from_ros(map_yaml, datum=datum)
+        grid = OccupancyGrid.from_ros(map_yaml, datum=datum, rules=rules, unknown=unknown)
         elevation = _heights(Path(height_image), elevation_scale, grid.shape)
         return cls(grid, Ground(elevation, grid.resolution, grid.frame.origin, **ground_options))
 

@@ -40,11 +40,13 @@ class RobotMeasurement(NamedTuple):
         pose: (3,) pose by the odometry [m, m, rad].
         twist: (3,) velocity in the frame of the robot [m/s, m/s, rad/s].
         scan: scan of the lidar; None between scans.
+        true_pose: (3,) true pose in the coordinates of the map, for what stands in for a SLAM.
     """
 
     pose: np.ndarray
     twist: np.ndarray
     scan: Scan | None
+    true_pose: np.ndarray
 
 
 class SimulatedRobot:
@@ -148,7 +150,8 @@ class SimulatedRobot:
         scan = None
         if self.num_steps % int(scenario.steps_per_scan) == 0:
             self.state, scan = _measure(scenario, self.state, self._moment(), measure_key)
-        measured = RobotMeasurement(self._odometry.copy(), self._twist.copy(), scan)
+        place = np.array(scenario.datum.to_map(self._pose))
+        measured = RobotMeasurement(self._odometry.copy(), self._twist.copy(), scan, place)
         is_late = self.time - self._commanded_at > self._watchdog
         if is_late and self._commanded.any():
             self._commanded = np.zeros(3)

@@ -20,11 +20,13 @@ from jaxplore.onboard.rows import Rows
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.ros import map_messages, messages
+from jaxplore.ros.command_publisher import CommandPublisher
 from jaxplore.ros.drive_publisher import DrivePublisher
 from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
 from jaxplore.ros.pace import Pace
+from jaxplore.ros.silence import Silence
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
 from jaxplore.simulation.monitor import Monitor
@@ -84,6 +86,7 @@ class ControlNode:
 
     Attributes:
         gave_way: why the drive ended in favour of another node; empty otherwise.
+        gave_up: why the drive ended without the robot, see `Silence`; empty otherwise.
     """
 
     def __init__(
@@ -95,7 +98,7 @@ class ControlNode:
     ) -> None:
         self.link, self.pilot, self.settings = link, pilot, settings
         self.latencies = Latencies()
-        self.gave_way = ""
+        self.gave_way = self.gave_up = ""
         self.watch = DriveWatch(pilot, monitors)
         ros = link.ros
         self._lock = threading.Lock()
@@ -111,12 +114,13 @@ class ControlNode:
         self._pose_frame = link.frame(settings.world_frame)
         self._is_internal = settings.pose == "internal"
         self._last_mode: tuple[Mode, str] | None = None
-        self._has_twist = settings.command_type == "twist_stamped"
-        self._commands = link.publisher(
-            ros.TwistStamped if self._has_twist else ros.Twist, settings.command_topic
-        )
+        self._commands = CommandPublisher(link, settings)
         self._publisher = DrivePublisher(link, pilot, settings.rollout_colour)
         self._began = math.inf
+        pose_topic = "/tf" if settings.pose_type == "tf" else link.topic(settings.pose_topic)
+        self._scan_topic, self._pose_topic = link.topic(settings.scan_topic), pose_topic
+        topics = (self._scan_topic, self._pose_topic)
+        self._silence = Silence(link, topics, settings.give_up_after)
         no_echo = NoEcho(settings.no_echo, pilot.task.perception.resolution)
         mount = lidar_mount(settings)
         subscribe_scan(link, settings, pilot.sensor, mount, no_echo, self._take_scan)
@@ -159,11 +163,13 @@ class ControlNode:
         return result(successful=True)
 
     def _take_scan(self, scan: messages.LaserScan) -> None:
+        self._silence.hear(self._scan_topic)
         with self._lock:
             self._scans.append(scan)
         self._wake.set()
 
     def _take_pose(self, pose: messages.Odometry) -> None:
+        self._silence.hear(self._pose_topic)
         with self._lock:
             self._poses.append(pose)
 
@@ -205,6 +211,7 @@ class ControlNode:
         others = self.link.other_publishers(self.settings.command_topic)
         if others:
             raise ValueError(self._shared(others[0]))
+        self._commands.match()
 
     def _shared(self, other: str) -> str:
         topic = self.link.topic(self.settings.command_topic)
@@ -246,7 +253,7 @@ class ControlNode:
             # Whatever happened, the robot is told to stand.
             self._worker.shutdown(cancel_futures=True)
             self._mapper.shutdown(cancel_futures=True)
-            self._publish_command(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
+            self._commands.publish(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
         self._publish_state(command)
 
     def _count(self, event: str, duration_secs: float, **_: str | int) -> None:
@@ -272,7 +279,7 @@ class ControlNode:
                 self.pilot.finish("stopped")
                 ends_by = min(ends_by, now + MOST_BRAKING)
             command = self._next_command(now + self.settings.deadline * period)
-            self._publish_command(command)
+            self._commands.publish(command)
             if arrived is not None and command.scan_time is not None:
                 self.latencies.scan_ms.add(1e3 * (time.monotonic() - arrived))
             arrived = None
@@ -333,18 +340,6 @@ class ControlNode:
             plan.cancel()
             return self.pilot.next_command(self.link.instant())
 
-    def _publish_command(self, command: Command) -> None:
-        ros = self.link.ros
-        if self._has_twist:
-            message = ros.TwistStamped()
-            frame = self.link.frame(self.settings.robot_frame)
-            messages.fill_header(message.header, self.link.now(), frame)
-            messages.fill_twist(message.twist, command.twist)
-        else:
-            message = ros.Twist()
-            messages.fill_twist(message, command.twist)
-        self._commands.publish(message)
-
     def _between(self, command: Command) -> None:
         """Do what no command waits for: fields, maps, the plan and the state."""
         now, pilot = self.link.now(), self.pilot
@@ -356,6 +351,11 @@ class ControlNode:
         self.watch.after(command)
         if self._publisher.publish_due(now, self._frame_name, self._state_entries(command)):
             self._warn_of_others()
+            self._commands.match()
+            reason = self._silence.check()
+            if reason:
+                self.gave_up = reason
+                self.pilot.finish(reason)
 
     def _tell(self, command: Command) -> None:
         """Log a change of what the pilot does, with the reason."""
@@ -364,7 +364,7 @@ class ControlNode:
         if former is None or former[0] is not told[0]:
             reason = f": {command.reason}" if command.reason else ""
             self.link.info(f"{command.mode}{reason}")
-        elif command.reason and command.mode is not Mode.DONE:
+        elif command.reason and command.mode is not Mode.DONE and not self._silence.is_long:
             # A reason has numbers that change, so its kind is what it begins with.
             self.link.warn(f"{command.mode} {command.reason[:12]}", command.reason)
 

@@ -14,6 +14,7 @@ from jaxplore.onboard.goals import Goal, GoalChooser
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.inputs import subscribe_pose
 from jaxplore.ros.link import Link
+from jaxplore.ros.silence import Silence
 from jaxplore.settings.node import NodeSettings
 
 CHOICE_SECONDS = 1.0
@@ -30,6 +31,9 @@ class GoalNode:
         chooser: chooser of goals.
         settings: topics and numbers of the node.
         resolution: side of a cell of the map that goals are chosen on [m].
+
+    Attributes:
+        gave_up: why the run ended without the robot, see `Silence`; empty otherwise.
     """
 
     def __init__(
@@ -46,7 +50,12 @@ class GoalNode:
         self._state = link.publisher(ros.String, "~/state")
         link.subscribe(ros.OccupancyGrid, settings.map_topic, self._take_map, is_kept=True)
         subscribe_pose(link, settings, self._take_pose)
+        pose_topic = "/tf" if settings.pose_type == "tf" else link.topic(settings.pose_topic)
+        # The map of a robot that stands may be published rarely.
+        self._pose_topic = pose_topic
+        self._silence = Silence(link, (pose_topic,), settings.give_up_after)
         self.num_goals = 0
+        self.gave_up = ""
 
     def _take_map(self, message: Any) -> None:
         # Whole metres are exact, and leave numbers that single precision can hold.
@@ -63,6 +72,7 @@ class GoalNode:
             self._map, self._frame = (grid, place), messages.text_of(message.header.frame_id)
 
     def _take_pose(self, pose: messages.Odometry) -> None:
+        self._silence.hear(self._pose_topic)
         with self._lock:
             self._pose = pose
 
@@ -78,6 +88,11 @@ class GoalNode:
         placed: messages.Odometry | None = None
         placed_at = -math.inf
         while not is_stopped.wait(CHOICE_SECONDS):
+            reason = self._silence.check()
+            if reason:
+                self.gave_up = reason
+                self._publish_state("done", reason)
+                return reason
             clock.advance(self.link.instant())
             now = clock.time
             if clock.jump is not None:
@@ -96,14 +111,16 @@ class GoalNode:
                 self._publish_state("waiting", "the simulated clock stands still")
                 continue
             if now - placed_at > MAX_AGE:
-                self.link.warn("pose", f"the pose is {now - placed_at:.1f} s old")
+                if not self._silence.is_long:
+                    self.link.warn("pose", f"the pose is {now - placed_at:.1f} s old")
                 self._publish_state("waiting", "the pose is old")
                 continue
             if pose.frame != frame:
                 self.link.warn(
                     "frame",
                     f"the pose is in the frame {pose.frame!r}, the map in {frame!r}; accepted: one "
-                    "frame, such as a localisation's pose, or node.pose_type 'tf'",
+                    "frame, such as a localisation's pose, or node.pose_type 'tf' with the map's "
+                    "frame as node.world_frame",
                 )
                 self._publish_state("waiting", "pose and map are in different frames")
                 continue

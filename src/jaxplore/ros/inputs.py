@@ -1,14 +1,23 @@
 """What a node hears: poses of one frame, and scans of one lidar."""
 
+import math
+import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from jaxplore.ros import messages
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
+from jaxplore.ros.transforms import Transforms
 from jaxplore.sensing.beams import Beams
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
+
+TRANSFORMS_KEPT = 100
+"""Number of messages of `/tf` that wait; many nodes publish there, and tf2 lets as many wait."""
+CHAIN_SECONDS = 3.0
+"""Time after the first transform in which a chain may be incomplete without a warning [s]."""
 
 
 class _FrameCheck:
@@ -51,8 +60,10 @@ def subscribe_pose(
     Raises:
         ValueError: transforms are asked for, and their package is missing.
     """
+    if settings.pose_type == "tf":
+        _subscribe_transforms(link, settings, take)
+        return
     ros, topic = link.ros, link.topic(settings.pose_topic)
-    names = link.frame(settings.world_frame), link.frame(settings.robot_frame)
     check = _FrameCheck(topic)
 
     def take_pose(message: Any) -> None:
@@ -62,23 +73,47 @@ def subscribe_pose(
         link.warn_of_clock(topic, pose.time, received)
         take(pose._replace(received=received))
 
-    def take_transforms(message: Any) -> None:
-        received = link.instant()
-        pose = messages.transform_of(message.transforms, *names)
-        if pose is not None:
-            link.warn_of_clock("/tf", pose.time, received)
-            take(pose._replace(received=received))
-
-    if settings.pose_type == "tf":
-        if ros.TFMessage is None:
-            raise ValueError(
-                "node.pose_type is 'tf', and tf2_msgs is not installed; accepted: odometry or pose"
-            )
-        for name in ("/tf", "/tf_static"):
-            link.subscribe(ros.TFMessage, name, take_transforms, is_kept=name == "/tf_static")
-        return
     is_odometry = settings.pose_type == "odometry"
     link.subscribe(ros.Odometry if is_odometry else ros.PoseWithCovarianceStamped, topic, take_pose)
+
+
+def _subscribe_transforms(
+    link: Link, settings: NodeSettings, take: Callable[[messages.Odometry], None]
+) -> None:
+    """Subscribe to the transforms, and follow them from the world's frame to the robot's."""
+    ros, transforms = link.ros, Transforms()
+    names = link.frame(settings.world_frame), link.frame(settings.robot_frame)
+    if ros.TFMessage is None:
+        raise ValueError(
+            "node.pose_type is 'tf', and tf2_msgs is not installed; accepted: odometry or pose"
+        )
+    began, taken = math.inf, -1.0
+
+    def hear(message: Any, *, is_static: bool) -> None:
+        nonlocal began, taken
+        received, now, reason = link.instant(), time.monotonic(), None
+        began = min(began, now)
+        for each in message.transforms:
+            try:
+                transforms.add(each, is_static=is_static)
+            except (ValueError, TypeError, OverflowError, AttributeError) as error:
+                # That of a gripper must not hide that of the wheels.
+                reason = error
+        pose = transforms.pose(*names)
+        if pose is None:
+            if now - began >= CHAIN_SECONDS:
+                link.warn("transforms", transforms.gap(*names))
+        # A pose is news if each transform of its chain is.
+        elif pose.time != taken:
+            taken = pose.time
+            link.warn_of_clock("/tf", pose.time, received)
+            take(pose._replace(received=received))
+        if reason is not None:
+            raise reason
+
+    for topic, is_static in (("/tf", False), ("/tf_static", True)):
+        handle = partial(hear, is_static=is_static)
+        link.subscribe(ros.TFMessage, topic, handle, is_kept=is_static, depth=TRANSFORMS_KEPT)
 
 
 def subscribe_scan(

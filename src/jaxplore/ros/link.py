@@ -1,6 +1,7 @@
 """The connection of a process to ROS 2: a node that spins in a thread of its own."""
 
 import collections
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -84,11 +85,11 @@ class Link:
                 "their arrival, unless they are later than before",
             )
 
-    def warn(self, kind: str, message: str) -> None:
+    def warn(self, kind: str, message: str, *, every: float = QUIET_SECONDS) -> None:
         """Log a warning, at most one of a kind in some seconds."""
         self.num_warnings[kind] += 1
         now = time.monotonic()
-        if now - self._warned.get(kind, -QUIET_SECONDS) >= QUIET_SECONDS:
+        if now - self._warned.get(kind, -math.inf) >= every:
             self._warned[kind] = now
             self.node.get_logger().warning(printable(message))
 
@@ -97,7 +98,13 @@ class Link:
         self.node.get_logger().info(printable(message))
 
     def subscribe(
-        self, kind: Any, topic: str, handle: Callable[[Any], None], *, is_kept: bool = False
+        self,
+        kind: Any,
+        topic: str,
+        handle: Callable[[Any], None],
+        *,
+        is_kept: bool = False,
+        depth: int | None = None,
     ) -> None:
         """Subscribe to a topic; a message that is malformed gives a warning.
 
@@ -106,6 +113,8 @@ class Link:
             topic: name of the topic.
             handle: function that takes a message; a `ValueError` becomes a warning.
             is_kept: whether the last message is wanted that was published before.
+            depth: number of messages that wait; the newest of what is kept, and 5 of the rest, when
+                absent.
         """
 
         full = self.topic(topic)
@@ -117,7 +126,8 @@ class Link:
             except (ValueError, TypeError, OverflowError, AttributeError, RecursionError) as error:
                 self.warn(f"message of {full}", f"{full}: {' '.join(str(error).split())}")
 
-        self.node.create_subscription(kind, topic, take, self._quality(is_kept, is_input=True))
+        quality = self._quality(is_kept, is_input=True, depth=depth)
+        self.node.create_subscription(kind, topic, take, quality)
 
     def publisher(self, kind: Any, topic: str, *, is_kept: bool = False) -> Any:
         """Return a publisher.
@@ -137,6 +147,30 @@ class Link:
             if each.topic_name == self.node.resolve_topic_name(topic) and own in found:
                 found.remove(own)
         return found
+
+    def other_types(self, topic: str, *, is_published: bool) -> dict[str, str]:
+        """Return the types of the messages that other nodes publish on a topic, or listen to.
+
+        Args:
+            topic: name of the topic.
+            is_published: whether publishers are asked for; otherwise subscriptions.
+
+        Returns:
+            The names of the types, such as `geometry_msgs/msg/Twist`, each with the name of one of
+            the nodes.
+        """
+        node = self.node
+        find = (
+            node.get_publishers_info_by_topic
+            if is_published
+            else node.get_subscriptions_info_by_topic
+        )
+        own = node.get_name(), node.get_namespace()
+        return {
+            str(each.topic_type): str(each.node_name)
+            for each in find(self.topic(topic))
+            if (each.node_name, each.node_namespace) != own
+        }
 
     def wait_for(self, topic: str | None) -> None:
         """Wait until the nodes that are there have been found.
@@ -172,18 +206,19 @@ class Link:
 
         self.node.create_service(self.ros.Trigger, name, serve)
 
-    def _quality(self, is_kept: bool, *, is_input: bool) -> Any:
+    def _quality(self, is_kept: bool, *, is_input: bool, depth: int | None = None) -> Any:
         qos = self.ros.rclpy.qos
         if is_kept:
             return qos.QoSProfile(
-                depth=1,
+                depth=1 if depth is None else depth,
                 reliability=qos.ReliabilityPolicy.RELIABLE,
                 durability=qos.DurabilityPolicy.TRANSIENT_LOCAL,
             )
         # Best effort hears reliable publishers as well, and never waits for what is old.
         reliability = qos.ReliabilityPolicy
         return qos.QoSProfile(
-            depth=5, reliability=reliability.BEST_EFFORT if is_input else reliability.RELIABLE
+            depth=5 if depth is None else depth,
+            reliability=reliability.BEST_EFFORT if is_input else reliability.RELIABLE,
         )
 
     def close(self) -> None:

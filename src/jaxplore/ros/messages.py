@@ -7,7 +7,7 @@ Angles and frames are those of REP 103 and REP 105.
 
 import array
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -284,31 +284,3 @@ def fill_transform(
     transform.translation.x, transform.translation.y, transform.translation.z = x, y, 0.0
     transform.rotation.x = transform.rotation.y = 0.0
     transform.rotation.z, transform.rotation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
-
-
-def transform_of(messages: Iterable[Any], parent: str, child: str) -> Odometry | None:
-    """Return the newest transform between two frames among `geometry_msgs/TransformStamped`.
-
-    Args:
-        messages: transforms, such as those of a `tf2_msgs/TFMessage`.
-        parent: name of the frame in which the pose is.
-        child: name of the frame of the robot.
-
-    Returns:
-        The pose of the child; None if no message has it.
-
-    Raises:
-        ValueError: numbers that are not finite, an orientation that is no quaternion.
-    """
-    found = None
-    for each in messages:
-        names = str(each.header.frame_id).lstrip("/"), str(each.child_frame_id).lstrip("/")
-        if names != (parent.lstrip("/"), child.lstrip("/")):
-            continue
-        place = each.transform.translation
-        x, y = float(place.x), float(place.y)
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise ValueError(f"translation is ({x}, {y}); accepted: finite numbers")
-        pose = np.array([x, y, yaw_of(each.transform.rotation)])
-        found = Odometry(time_of(each.header.stamp), text_of(each.header.frame_id), pose, None)
-    return found

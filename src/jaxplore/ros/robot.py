@@ -8,15 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from jaxplore.onboard.localisation import composed, inverse
 from jaxplore.onboard.simulated_robot import RobotMeasurement, SimulatedRobot
 from jaxplore.ros import map_messages, messages
+from jaxplore.ros.command_publisher import COMMAND_TYPES
 from jaxplore.ros.link import Link
 
 NODE = "jaxplore_robot"
 """Name of the node."""
-SCAN_TOPIC, ODOMETRY_TOPIC, COMMAND_TOPIC, MAP_TOPIC = "scan", "odom", "cmd_vel", "map"
-"""Topics, relative to the namespace of the node."""
-WORLD_FRAME, ROBOT_FRAME, LIDAR_FRAME = "odom", "base_link", "base_scan"
+SCAN_TOPIC, ODOMETRY_TOPIC, COMMAND_TOPIC = "scan", "odom", "cmd_vel"
+MAP_TOPIC, POSE_TOPIC = "map", "pose"
+"""Topics, relative to the namespace of the node; the last two are those of `slam_toolbox`."""
+MAP_FRAME, WORLD_FRAME, ROBOT_FRAME, LIDAR_FRAME = "map", "odom", "base_link", "base_scan"
+"""Frames: of the map, in which the true pose is, of the odometry, of the robot and of its lidar."""
 MAP_SECONDS, STATE_SECONDS = 1.0, 0.5
 """Time between two messages of the map, and of the state [s]."""
 MOST_LATE = 0.2
@@ -25,6 +29,11 @@ MOST_LATE = 0.2
 
 class RobotNode:
     """Publishes what a simulated robot measures, and obeys velocity commands.
+
+    As a real robot's base it publishes the transforms from the odometry's frame to the robot's and
+    on to the lidar's, where `tf2_msgs` is installed. With a map it also does what a SLAM node does:
+    the map is in a frame of its own, in which it publishes the pose, and whose transform to the
+    odometry's takes the drift away.
 
     Args:
         link: connection to ROS 2.
@@ -45,7 +54,14 @@ class RobotNode:
         self._scan = link.publisher(ros.LaserScan, SCAN_TOPIC)
         self._odometry = link.publisher(ros.Odometry, ODOMETRY_TOPIC)
         self._map = link.publisher(ros.OccupancyGrid, MAP_TOPIC, is_kept=True) if has_map else None
+        self._pose = link.publisher(ros.PoseWithCovarianceStamped, POSE_TOPIC) if has_map else None
         self._state = link.publisher(ros.String, "~/state")
+        self._transforms: Any = None
+        if ros.TFMessage is not None:
+            self._transforms = link.publisher(ros.TFMessage, "/tf")
+            mounts = link.publisher(ros.TFMessage, "/tf_static", is_kept=True)
+            mounts.publish(self._transform(link.now(), (ROBOT_FRAME, LIDAR_FRAME, np.zeros(3))))
+        self._command_type = command_type
         if command_type == "twist":
             link.subscribe(ros.Twist, COMMAND_TOPIC, self._take)
         else:
@@ -58,6 +74,15 @@ class RobotNode:
         twist = messages.twist_of(message)
         with self._lock:
             self._commands.append(twist)
+
+    def _transform(self, now: float, *frames: tuple[str, str, np.ndarray]) -> Any:
+        """Make a message of transforms, each a parent, a child and the child's pose."""
+        ros, name = self.link.ros, self.link.frame
+        message = ros.TFMessage()
+        message.transforms = [ros.TransformStamped() for _ in frames]
+        for each, (parent, child, pose) in zip(message.transforms, frames, strict=True):
+            messages.fill_transform(each, now, name(parent), name(child), pose)
+        return message
 
     def check_alone(self) -> None:
         """Check that no other robot is there.
@@ -110,6 +135,7 @@ class RobotNode:
             if robot.time >= next_state:
                 next_state = robot.time + STATE_SECONDS
                 self._publish_state()
+                self._warn_of_types()
                 on_progress(
                     robot.time / time_limit,
                     f"{robot.time:.0f} s  coverage {robot.coverage:6.1%}  "
@@ -128,12 +154,35 @@ class RobotNode:
         pose = messages.Odometry(now, frame(WORLD_FRAME), measured.pose, measured.twist)
         messages.fill_odometry(odometry, pose, frame(ROBOT_FRAME))
         self._odometry.publish(odometry)
+        if self._pose is not None:
+            place = ros.PoseWithCovarianceStamped()
+            messages.fill_header(place.header, now, frame(MAP_FRAME))
+            messages.fill_pose(place.pose.pose, measured.true_pose)
+            self._pose.publish(place)
+        if self._transforms is not None:
+            frames = [(WORLD_FRAME, ROBOT_FRAME, measured.pose)]
+            if self._map is not None:
+                drift = composed(measured.true_pose, inverse(measured.pose))
+                frames.append((MAP_FRAME, WORLD_FRAME, drift))
+            self._transforms.publish(self._transform(now, *frames))
         if measured.scan is not None:
             scan = ros.LaserScan()
             messages.fill_laser_scan(
                 scan, measured.scan, self._sensor, now, frame(LIDAR_FRAME), period=self._scan_period
             )
             self._scan.publish(scan)
+
+    def _warn_of_types(self) -> None:
+        """Warn of commands of another type, which do not arrive."""
+        wanted = COMMAND_TYPES[self._command_type]
+        for found, node in self.link.other_types(COMMAND_TOPIC, is_published=True).items():
+            if found != wanted:
+                self.link.warn(
+                    "type of commands",
+                    f"{messages.text_of(node)} publishes {messages.text_of(found)} on "
+                    f"{self.link.topic(COMMAND_TOPIC)}, which does not arrive; accepted: {wanted}, "
+                    "or another --command-type",
+                )
 
     def _publish_state(self) -> None:
         robot = self.robot
@@ -162,6 +211,6 @@ class RobotNode:
             grid.resolution,
             self.robot.scenario.datum.to_map(np.asarray(grid.frame.origin, np.float64)),
             now,
-            self.link.frame(WORLD_FRAME),
+            self.link.frame(MAP_FRAME),
         )
         self._map.publish(message)

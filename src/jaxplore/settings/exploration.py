@@ -13,8 +13,10 @@ from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.recognition import Recognition
+from jaxplore.maps.files.ros import MapRules
 from jaxplore.maps.generators.office import office
 from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.planning.presets.flight import Flight
 from jaxplore.sensing.detector import Detector
@@ -86,6 +88,13 @@ SCENARIOS = ("warehouse", "search-rescue", "perimeter")
 
 Names = Annotated[tuple[str, ...], Field(max_length=MOST_NAMES)]
 Fractions = Annotated[tuple[Fraction, ...], Field(max_length=MOST_NAMES)]
+
+
+class MapFileSettings(Section):
+    """How the image of a ROS map is read: see `jaxplore.maps.files.ros.read_map`."""
+
+    rules: MapRules = setting(OccupancyGrid.from_ros, "rules")
+    unknown: Annotated[int, Field(ge=0, le=255)] | None = setting(OccupancyGrid.from_ros, "unknown")
 
 
 class OfficeSettings(Section):
@@ -193,6 +202,7 @@ class Settings(RunSettings):
             controller.
         goal: goal position (x, y) or (x, y, z) [m]; a world may define its own.
         time_limit: simulated time [s].
+        map_file: how the image of a ROS map is read.
         office: the generated office, for the map `office`.
         robot: the robot.
         chassis: wheels and centre of mass of the robot, which can then tip over; it cannot when
@@ -231,6 +241,7 @@ class Settings(RunSettings):
     time_limit: Duration = 900.0
     target_coverage: Share | None = setting(ExplorationScenario, "target_coverage")
     give_up_after: Duration | None = setting(ExplorationScenario, "give_up_after")
+    map_file: MapFileSettings = MapFileSettings()
     office: OfficeSettings = OfficeSettings()
     robot: RobotSettings = RobotSettings()
     chassis: ChassisSettings | None = None

@@ -11,6 +11,7 @@ from jaxplore.settings.defaults import setting
 from jaxplore.settings.path import ContouringNumbers
 from jaxplore.settings.ros_names import Namespace, Topic
 from jaxplore.settings.sections import (
+    Duration,
     Latency,
     NonNegative,
     Positive,
@@ -60,9 +61,11 @@ class NodeSettings(Section):
         path_topic: topic of the paths to follow, `nav_msgs/Path`.
         scan_topic: topic of the lidar, `sensor_msgs/LaserScan`.
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
-        pose_type: type of the pose's messages; `tf` looks up `world_frame` to `robot_frame`.
+        pose_type: type of the pose's messages; `tf` follows the transforms from `world_frame` to
+            `robot_frame`.
         command_topic: topic of the commands.
-        command_type: type of the commands.
+        command_type: type of the commands; `auto` takes the one that the robot listens to, and
+            `twist` where none does.
         world_frame: name of the fixed frame, for transforms.
         robot_frame: name of the frame of the robot's centre.
         map_size: side of the map that the robot makes [m]; it starts in its middle.
@@ -77,6 +80,8 @@ class NodeSettings(Section):
         rollout_colour: what colours the published rollouts: `weight`, `total cost`, or the name of
             a term of the controller's cost.
         is_autostarted: whether the robot drives at once, or waits for `start`.
+        give_up_after: time without scans, or without poses, after which the node ends [s]; it waits
+            for ever when absent.
         contouring: contouring control along the paths of the mode `follow`.
     """
 
@@ -91,7 +96,7 @@ class NodeSettings(Section):
     pose_topic: Topic = "odom"
     pose_type: Literal["odometry", "pose", "tf"] = "odometry"
     command_topic: Topic = "cmd_vel"
-    command_type: Literal["twist", "twist_stamped"] = "twist"
+    command_type: Literal["auto", "twist", "twist_stamped"] = "auto"
     world_frame: str = "odom"
     robot_frame: str = "base_link"
     map_size: Width = 50.0
@@ -103,6 +108,7 @@ class NodeSettings(Section):
     deadline: Positive = 0.9
     rollout_colour: str = WEIGHT
     is_autostarted: bool = True
+    give_up_after: Duration | None = None
     latency: Latency = setting(PilotOptions, "latency")
     max_age: Positive = setting(PilotOptions, "max_age")
     max_frozen: Positive = setting(PilotOptions, "max_frozen")

@@ -133,6 +133,10 @@ def _is_world(settings: Settings) -> bool:
     return settings.map != OFFICE and is_world_file(settings.map)
 
 
+def _is_ros_map(settings: Settings) -> bool:
+    return not _is_office(settings) and not _is_world(settings)
+
+
 def _has_height_map(settings: Settings) -> bool:
     return settings.terrain.height_map is not None and not _is_office(settings)
 
@@ -256,6 +260,7 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
             "runs that test for anomalies", lambda settings: settings.anomalies is not None
         ),
         "detector": Reader("runs with a detector", lambda settings: settings.detector is not None),
+        "map_file": Reader("ROS maps", _is_ros_map),
         "terrain.height_map": Reader("ROS maps, worlds", lambda settings: not _is_office(settings)),
         "portfolio": _PORTFOLIO,
         "portfolio.members": _also(

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class Display:
     """The page of a view.
 
-    The first tab of its panel tells the time and the progress, and has the curves; `run_tab` is the
-    place for buttons. The last tab shows and hides layers.
+    The first tab of its panel tells the time and the progress; `run_tab` is the place for buttons.
+    The last tab shows and hides layers. The curves stand below all tabs.
 
     Args:
         server: server of the view.
@@ -54,7 +54,9 @@ class Display:
             self._progress: Any = gui.add_text("Progress", initial_value="", disabled=True)
             self._rollouts = RolloutColours(server, self._recolour)
             self.buttons: Any = gui.add_folder("Control")
-            self._curves = Curves(server, gui.add_folder("Curves"))
+        # Not in a tab: a page that changes tabs makes plots anew, and viser then shows their first
+        # second, until somebody moves the axis.
+        self._curves = Curves(server, gui.add_folder("Curves"))
         self._layers: list[Any] = []
 
     def begin(self, recording: Recording) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import ipaddress
+import logging
 import socket
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -45,6 +46,10 @@ def open_server(host: str = HOST, port: int = 0, *, label: str) -> "viser.ViserS
         close_server(server)
         raise ValueError(f"port is {number}, which is in use; accepted: a free one, or 0 for any")
     _turn_away_other_sites(server)
+    for name in ("websockets.server", "asyncio"):
+        logger = logging.getLogger(name)
+        if not any(isinstance(each, _NoTracebacks) for each in logger.filters):
+            logger.addFilter(_NoTracebacks())
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     server.gui.main_panel.dock_right()
     return server
@@ -100,6 +105,22 @@ def _check_address(host: str, port: int) -> None:
             raise ValueError(
                 f"host is {host!r} ({error.strerror}); accepted: an address of this machine"
             ) from None
+
+
+class _NoTracebacks(logging.Filter):
+    """Leaves out what viser could not make of what came over a connection.
+
+    Anyone who reaches the port can send bytes that are none of its messages. Errors of our own
+    callbacks are kept.
+    """
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a record is kept."""
+        modules, trace = [], record.exc_info[2] if record.exc_info else None
+        while trace is not None:
+            modules.append(str(trace.tb_frame.f_globals.get("__name__", "")).partition(".")[0])
+            trace = trace.tb_next
+        return "viser" not in modules or "jaxplore" in modules
 
 
 @contextlib.contextmanager

@@ -22,7 +22,14 @@ BYTE_LIMIT = 2**30
 HEADER_LIMIT = 2**16
 """Longest header of a portable map, with its comments [bytes]."""
 
-_FORMATS = ("PPM", "PNG", "BMP")
+ACCEPTED = "PGM (or another portable map), PNG, BMP, JPEG or WebP"
+"""Formats that are read, for messages."""
+COMPRESSED_LIMIT = 2**28
+"""Largest file of a JPEG or WebP image, which is read whole [bytes]."""
+SCANS_LIMIT = 100
+"""Greatest number of scans of a JPEG image; an ordinary one has 1 to 10."""
+
+_FORMATS = ("PPM", "PNG", "BMP", "JPEG", "WEBP")
 _MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16")
 
 
@@ -55,28 +62,30 @@ def image_size(path: Path) -> tuple[int, int]:
     return _opened(path, lambda image: (image.height, image.width))
 
 
-def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
-    """Read an image file of 1 to 16 bits: PGM (or another portable map), PNG or BMP.
+def read_greys(path: Path, *, alpha_is_shade: bool = False, is_luma: bool = False) -> Greys:
+    """Read an image file of 1 to 16 bits: PGM (or another portable map), PNG, BMP, JPEG or WebP.
 
     The brightness of a pixel is the mean of red, green and blue, divided by the greatest value of
     the format.
 
     Args:
         path: path of the file.
-        alpha_is_shade: whether the alpha channel counts as a fourth colour, as in nav2.
+        alpha_is_shade: whether the alpha channel counts as a fourth colour, as in nav2 until 2025.
+        is_luma: whether the brightness is the luma of ITU-R BT.709 in 8 bits, as in nav2 since;
+            alpha is then no colour.
 
     Raises:
         ValueError: a file that is missing, malformed, of another format or too large; one line
             that names it.
     """
-    return _opened(path, lambda image: _levels(image, alpha_is_shade))
+    return _opened(path, lambda image: _levels(image, alpha_is_shade, is_luma))
 
 
 def _opened[T](path: Path, read: Callable[["ImageFile.ImageFile"], T]) -> T:
     """Open an image, check its format and size, and return what a function makes of it."""
     from PIL import Image  # slow to import, and few need it
 
-    where, accepted = f"image {printable_path(path)}", "a PGM, PNG or BMP image"
+    where, accepted = f"image {printable_path(path)}", f"an image in {ACCEPTED}"
     too_large = f"{where} is too large; accepted: at most {PIXEL_LIMIT} pixels"
     # Pillow warns of large images, which are refused here anyway, and of oddities that it handles.
     with warnings.catch_warnings():
@@ -87,6 +96,9 @@ def _opened[T](path: Path, read: Callable[["ImageFile.ImageFile"], T]) -> T:
                 raise ValueError("it is not there or not a file")
             with file:
                 _check_header(file)
+                large = _is_compressed_too_large(file)
+                if large:
+                    raise Image.DecompressionBombError
                 image = Image.open(file, formats=_FORMATS)
                 if image.mode == "P" and image.palette is None:
                     # Pillow takes all its pixels for black.
@@ -120,7 +132,43 @@ def _check_header(file: BinaryIO) -> None:
         raise ValueError(f"its header has more than {HEADER_LIMIT} bytes")
 
 
-def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool) -> Greys:
+def _is_compressed_too_large(file: BinaryIO) -> bool:
+    """Check what Pillow and its libraries allocate or repeat before they tell the size.
+
+    A decoder of WebP is made with its canvas, up to 268 million pixels. The size of the canvas, or
+    of the only frame, stands in the first chunk. Each scan of a JPEG runs over the whole image.
+
+    Raises:
+        ValueError: a file that is too long, or has too many scans.
+    """
+    head = file.read(30)
+    file.seek(0)
+    is_webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
+    if not is_webp and head[:2] != b"\xff\xd8":
+        return False
+    data = file.read(COMPRESSED_LIMIT + 1)
+    file.seek(0)
+    if len(data) > COMPRESSED_LIMIT:
+        raise ValueError(f"it has more than {COMPRESSED_LIMIT} bytes")
+    if not is_webp:
+        if data.count(b"\xff\xda") > SCANS_LIMIT:
+            raise ValueError(f"it has more than {SCANS_LIMIT} scans")
+        return False
+    kind, number = head[12:16], int.from_bytes(head[21:25], "little")
+    if kind == b"VP8X":
+        sides = [1 + int.from_bytes(head[at : at + 3], "little") for at in (24, 27)]
+    elif kind == b"VP8L":
+        sides = [1 + (number & 0x3FFF), 1 + (number >> 14 & 0x3FFF)]
+    else:
+        sides = [int.from_bytes(head[at : at + 2], "little") & 0x3FFF for at in (26, 28)]
+    return sides[0] * sides[1] > PIXEL_LIMIT
+
+
+LUMA = (0.212656, 0.715158, 0.072186)
+"""Weights of red, green and blue in the luma of ITU-R BT.709, as ImageMagick has them."""
+
+
+def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool, is_luma: bool) -> Greys:
     maxval = _portable_maxval(image)
     clear = image.info.get("transparency")
     # Pillow cannot convert 16-bit images without losing bits: read them as they are.
@@ -128,6 +176,10 @@ def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool) -> Greys:
         grey = np.asarray(image)
         levels = _unscaled(65535, maxval)[grey]
         opaque = None if clear is None else grey != clear
+        if is_luma:
+            # Half a level is rounded up, as by ImageMagick.
+            levels = np.floor(levels * (255 / (maxval or 65535)) + 0.5).astype(np.uint8)
+            return Greys(levels, 255, opaque)
         if not alpha_is_shade or opaque is None:
             return Greys(levels, maxval or 65535, opaque)
         # nav2 averages red, green, blue and alpha. In a grey image the three colours are equal.
@@ -140,6 +192,9 @@ def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool) -> Greys:
         mode, weight = "RGBA" if has_alpha else "RGB", 1
     channels = np.asarray(image.convert(mode)).reshape(image.height, image.width, -1)
     colour = channels[..., :-1] if has_alpha else channels
+    if is_luma:
+        opaque = channels[..., -1] == 255 if has_alpha else None
+        return Greys(colour[..., 0] if weight == 3 else _luma(colour), 255, opaque)
     level = weight * _unscaled(255, maxval)[colour].sum(axis=-1, dtype=np.uint16)
     full = 3 * (maxval or 255)
     if not has_alpha:
@@ -148,6 +203,16 @@ def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool) -> Greys:
     if alpha_is_shade:
         level, full = level + alpha, full + 255
     return Greys(level, full, alpha == 255)
+
+
+def _luma(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    # In 24 bits of fraction: the weights sum to one exactly, so greys stay as they are.
+    weights = np.rint(2.0**24 * np.array(LUMA)).astype(np.uint32)
+    weights[1] += np.uint32(2**24 - int(weights.sum()))
+    total = np.full(colour.shape[:2], 2**23, np.uint32)
+    for index, weight in enumerate(weights):
+        total += (np.arange(256, dtype=np.uint32) * weight)[colour[..., index]]
+    return (total >> np.uint32(24)).astype(np.uint8)
 
 
 def _portable_maxval(image: "ImageFile.ImageFile") -> int | None:

@@ -4,7 +4,7 @@ import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import yaml
@@ -14,13 +14,20 @@ from jaxplore import _checks, _kinds
 from jaxplore._files import read_yaml, replace_files
 from jaxplore._text import printable_path, short_repr
 from jaxplore.maps.datum import Datum
-from jaxplore.maps.files.images import PIXEL_LIMIT, image_size, read_greys
+from jaxplore.maps.files.images import PIXEL_LIMIT, Greys, image_size, read_greys
 
 if TYPE_CHECKING:
     from PIL import Image
 
 MODES = ("trinary", "scale", "raw")
 """Conversions from grey to probability; see `read_map`."""
+type MapRules = Literal["nav2", "nav2_2025"]
+RULES = ("nav2", "nav2_2025")
+"""Rules by which an image is read; see `read_map`."""
+UNKNOWN_GREY = 205
+"""Grey that map savers write for unknown cells."""
+NOTABLE_SHARE = 0.01
+"""Share of the cells beyond which a doubtful reading is told."""
 
 _UNKNOWN = 0.5
 _SUFFIXES = (".yaml", ".yml")
@@ -37,7 +44,7 @@ class _Settings(NamedTuple):
 
 
 def read_map(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str], *, rules: MapRules = "nav2", unknown: int | None = None
 ) -> tuple[NDArray[np.float32], float, tuple[float, float, float]]:
     """Read a map: the YAML file at `path` and the image that it names.
 
@@ -50,9 +57,24 @@ def read_map(
       `(occ - free_thresh) / (occupied_thresh - free_thresh)`, rounded to hundredths.
     - `raw`: `v / 100` if `v = round(255 shade) <= 100`, else 0.5; `negate` has no effect.
 
+    By the rules `nav2_2025`, those of nav2 since that year, the shade is the luma of ITU-R BT.709
+    in 8 bits, both thresholds are inclusive (`>=` and `<=`, in single precision), and in `trinary`
+    and `scale` a pixel that is not opaque is unknown.
+
     `image`, `resolution` and `origin` are required. The defaults are `negate` 0, `occupied_thresh`
-    0.65, `free_thresh` 0.25 and `mode` trinary. The image is PGM (or another portable map), PNG or
-    BMP of at most 64 million pixels. A relative name must stay in the folder of the YAML file.
+    0.65, `free_thresh` 0.25 and `mode` trinary. The image is PGM (or another portable map), PNG,
+    BMP, JPEG or WebP of at most 64 million pixels. A relative name must stay in the folder of the
+    YAML file.
+
+    A `UserWarning` tells if a hundredth of the cells or more are read doubtfully: within a grey
+    level of a threshold; as free or occupied although they have the grey 205, which map savers
+    write for unknown, or are not opaque.
+
+    Args:
+        path: path of the YAML file.
+        rules: "nav2", those of nav2 until 2025 and of ROS 1, or "nav2_2025".
+        unknown: grey from 0 to 255 that is read as unknown, whatever the thresholds say, such as
+            205 beside a `free_thresh` of 0.25; none when absent.
 
     Returns:
         Probability (H, W) in [0, 1] with row 0 at the origin (the image's bottom row), resolution
@@ -64,13 +86,35 @@ def read_map(
 
     Source: nav2 (ROS 2), `nav2_map_server/src/map_io.cpp`, `loadMapYaml` and `loadMapFromFile`.
     """
-    settings = _settings(Path(path))
-    greys = read_greys(settings.image, alpha_is_shade=settings.mode == "trinary")
+    if rules not in RULES:
+        raise ValueError(f"rules is {short_repr(rules)}; accepted: {', '.join(RULES)}")
+    if unknown is not None:
+        unknown = _checks.whole_number("unknown", unknown, at_least=0, at_most=255)
+    settings, is_new = _settings(Path(path)), rules == "nav2_2025"
+    greys = read_greys(
+        settings.image,
+        alpha_is_shade=settings.mode == "trinary" and not is_new,
+        is_luma=is_new,
+    )
     # Convert a table of grey levels: it is exact in float64 without a float64 copy of the map.
     shade = np.arange(greys.full + 1) / greys.full
-    probability = _probability(shade, settings).astype(np.float32)[greys.level]
-    if settings.mode == "scale" and greys.opaque is not None:
+    table = _probability(shade, settings, is_new).astype(np.float32)
+    probability = table[greys.level]
+    is_transparency_unknown = settings.mode == "scale" or (is_new and settings.mode == "trinary")
+    if greys.opaque is not None and is_transparency_unknown:
         probability[~greys.opaque] = _UNKNOWN
+    # Where alpha is a colour, the greys are those without it.
+    coloured = greys if greys.opaque is None else read_greys(settings.image, is_luma=is_new)
+    if unknown is not None:
+        probability[_has_grey(coloured, unknown)] = _UNKNOWN
+    doubts = [_savers_doubt(coloured, probability)]
+    if settings.mode == "trinary":
+        if greys.opaque is not None:
+            doubts.append(_alpha_doubt(greys.opaque, probability))
+        doubts.append(_thresholds_doubt(greys, table, settings, unknown))
+    found = "; ".join(each for each in doubts if each)
+    if found:
+        _checks.warn_user(f"{printable_path(Path(path))}: {found}")
     # Row 0 of a map is at its origin, the bottom row of the image.
     return np.ascontiguousarray(probability[::-1]), settings.resolution, settings.origin
 
@@ -189,9 +233,13 @@ def _settings(path: Path) -> _Settings:
             f"{where}: free_thresh is {free}; accepted: less than occupied_thresh, {occupied}"
         )
     mode = entries.get("mode", "trinary")
+    mode = mode.lower() if isinstance(mode, str) else mode
     if not isinstance(mode, str) or mode not in MODES:
         raise ValueError(f"{where}: mode is {short_repr(mode)}; accepted: {', '.join(MODES)}")
     negate = entries.get("negate", 0)
+    # yaml-cpp, which nav2 reads by, does not tell quoted numbers from others.
+    if isinstance(negate, str):
+        negate = {"0": 0, "1": 1, "false": 0, "true": 1}.get(negate.lower(), negate)
     if not isinstance(negate, int) or negate not in (0, 1):
         raise ValueError(f"{where}: negate is {short_repr(negate)}; accepted: 0, 1, true, false")
     return _Settings(
@@ -229,16 +277,91 @@ def _image_path(path: Path, entry: object) -> Path:
     return image
 
 
-def _probability(shade: NDArray[np.float64], settings: _Settings) -> NDArray[np.float64]:
+def _probability(
+    shade: NDArray[np.float64], settings: _Settings, is_new: bool
+) -> NDArray[np.floating]:
     if settings.mode == "raw":
         value = np.floor(255 * shade + 0.5)  # rounds half up like C's round; rint rounds to even
         return np.where(value <= 100, value / 100, _UNKNOWN)
-    occ = shade if settings.negate else 1.0 - shade
     low, high = settings.free_thresh, settings.occupied_thresh
-    between: NDArray[np.float64] | float = _UNKNOWN
+    between: NDArray[np.floating] | float = _UNKNOWN
+    if is_new:
+        shade32 = shade.astype(np.float32)
+        new_occ = shade32 if settings.negate else np.float32(1.0) - shade32
+        low32, high32 = np.float32(low), np.float32(high)
+        if settings.mode == "scale":
+            percent = (new_occ - low32) / (high32 - low32) * np.float32(100.0)
+            between = np.floor(percent + np.float32(0.5)) / np.float32(100.0)
+        return np.where(new_occ <= low32, 0.0, np.where(new_occ >= high32, 1.0, between))
+    occ = shade if settings.negate else 1.0 - shade
     if settings.mode == "scale":
         between = np.rint((occ - low) / (high - low) * 100.0) / 100.0
     return np.where(occ > high, 1.0, np.where(occ < low, 0.0, between))
+
+
+def _has_grey(greys: Greys, grey: int) -> NDArray[np.bool_]:
+    """Return the pixels of a grey from 0 to 255, rounded."""
+    table = np.floor(np.arange(greys.full + 1) * (255 / greys.full) + 0.5) == grey
+    found: NDArray[np.bool_] = table[greys.level]
+    return found
+
+
+def _savers_doubt(greys: Greys, probability: NDArray[np.float32]) -> str:
+    """Return in words that a map saver's grey of unknown cells is read as something else."""
+    for value, word in ((0.0, "free"), (1.0, "occupied")):
+        share = float(np.mean(_has_grey(greys, UNKNOWN_GREY) & (probability == value)))
+        if share >= NOTABLE_SHARE:
+            return (
+                f"{100 * share:.1f} % of the cells have grey {UNKNOWN_GREY}, which map savers "
+                f"write for unknown, and are read as {word}; unknown={UNKNOWN_GREY}, in settings "
+                "map_file.unknown, reads them as unknown"
+            )
+    return ""
+
+
+def _alpha_doubt(opaque: NDArray[np.bool_], probability: NDArray[np.float32]) -> str:
+    """Return in words that what is not opaque is read as free or occupied."""
+    share = float(np.mean(~opaque & (probability != _UNKNOWN)))
+    if share < NOTABLE_SHARE:
+        return ""
+    return (
+        f"{100 * share:.1f} % of the cells are not opaque and are read as free or occupied; "
+        "rules=nav2_2025, in settings map_file.rules, reads them as unknown"
+    )
+
+
+def _thresholds_doubt(
+    greys: Greys, table: NDArray[np.float32], settings: _Settings, unknown: int | None
+) -> str:
+    """Return in words which cells of a trinary map lie within a grey level of a threshold.
+
+    Left out are those of a grey that is read as it is meant: `unknown`, or that of map savers.
+    """
+    counts = np.bincount(greys.level.ravel(), minlength=greys.full + 1) / greys.level.size
+    grey = np.arange(greys.full + 1) * (255 / greys.full)
+    occ = grey if settings.negate else 255 - grey
+    meant = UNKNOWN_GREY if unknown is None else unknown
+    is_doubtful = (np.abs(grey - meant) >= 0.5) | ((table != _UNKNOWN) & (unknown is None))
+    said = []
+    for name, value, word in (("free_thresh", 0.0, "free"), ("occupied_thresh", 1.0, "occupied")):
+        threshold = getattr(settings, name)
+        near = np.where((np.abs(occ - 255 * threshold) <= 1.0) & is_doubtful, counts, 0.0)
+        if near.sum() < NOTABLE_SHARE:
+            continue
+        shares = (
+            (near[table == value].sum(), word, "unknown"),
+            (near[table == _UNKNOWN].sum(), "unknown", word),
+        )
+        changes = " and ".join(
+            f"{100 * share:.1f} % read as {one} would be {other}"
+            for share, one, other in shares
+            if share
+        )
+        said.append(
+            f"{changes} one grey level further: they lie at {name} {threshold:g}, most of them of "
+            f"grey {np.rint(grey[np.argmax(near)]):g}"
+        )
+    return "; ".join(said)
 
 
 def _grey_image(values: NDArray[np.floating], mode: str) -> "Image.Image":

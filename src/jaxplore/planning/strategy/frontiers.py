@@ -43,6 +43,19 @@ class Frontiers(NamedTuple):
     is_view: Bool[Array, "*nodes"]
     is_leftover: Bool[Array, "*nodes"]
 
+    @property
+    def positions(self) -> Float[Array, "*nodes D"]:
+        """Position of each node: (H, W, 2) of (x, y), (D, H, W, 3) of (x, y, z) in a volume [m].
+
+        They are in the coordinates of the belief, as the robot's pose is: relative to the datum of
+        a map that is far from the origin.
+        """
+        indices = jnp.stack(jnp.indices(self.distance.shape), axis=-1)
+        if isinstance(self.roads, VolumeRoads):
+            # From layers, rows and columns to x, y and z.
+            return self.roads.origin + self.roads.spacing * indices[..., ::-1].astype(jnp.float32)
+        return self.roads.frame.cell_centre(indices)
+
 
 def find_frontiers(
     belief: Belief,

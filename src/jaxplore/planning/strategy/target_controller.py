@@ -26,7 +26,7 @@ from jaxplore.control.model_checks import checked_call
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.planning.strategy.frontiers import Frontiers
 from jaxplore.planning.strategy.target_progress import TargetProgress
-from jaxplore.planning.strategy.target_rules import TargetRule
+from jaxplore.planning.strategy.target_rules import TargetRule, ask
 
 
 class TargetState(NamedTuple):
@@ -169,7 +169,7 @@ class TargetController(Controller):
         progress = state.progress.checked(
             frontiers.distance, state.node, on_the_way, self.spacing(state)
         )
-        candidates = self.rule.candidates(frontiers) & progress.may_be
+        candidates = ask(self.rule, "candidates", frontiers) & progress.may_be
         leftovers = frontiers.is_leftover & progress.may_be
         # A target that is reached is dropped. A robot that stays keeps it while there is
         # information.
@@ -184,7 +184,7 @@ class TargetController(Controller):
         # target is kept.
         def pick(_: None) -> tuple[Array, Flag]:
             may_be = candidates & away
-            scores = self.rule.scores(frontiers, key=key)
+            scores = ask(self.rule, "scores", frontiers, key=key)
             if lead is not None:
                 scores = scores.at[node].add(jnp.where(keeps, lead, 0.0))
             scores = jnp.where(may_be, scores, -jnp.inf)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.planning.strategy.frontiers import Frontiers
 
@@ -32,6 +32,35 @@ class TargetRule(eqx.Module):
         It is None by default: a target is kept while it is a candidate.
         """
         return None
+
+
+def ask(rule: TargetRule, method: str, frontiers: Frontiers, **options: Key) -> Array:
+    """Return what a rule says of the nodes: `candidates`, or `scores`.
+
+    Args:
+        rule: the rule, perhaps of the user's own.
+        method: name of the method.
+        frontiers: the nodes.
+        options: further arguments of the method.
+
+    Raises:
+        ValueError: a method that fails, or that returns something else than a mask or numbers over
+            the nodes; one line that names the rule.
+    """
+    name, shape = f"rule {type(rule).__name__}", frontiers.distance.shape
+    try:
+        found = getattr(rule, method)(frontiers, **options)
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ValueError(f"{name} fails in {method}: {type(error).__name__}: {reason}") from error
+    kind, accepted = (jnp.bool_, "a mask") if method == "candidates" else (jnp.floating, "numbers")
+    is_right = hasattr(found, "dtype") and jnp.issubdtype(found.dtype, kind)
+    if not is_right or found.shape != shape:
+        raise ValueError(
+            f"{method} of {name} are {_kinds.described(found)}; accepted: {accepted} of shape "
+            f"{shape}, such as frontiers.{'is_view' if method == 'candidates' else 'worth'}"
+        )
+    return jnp.asarray(found)
 
 
 class Wander(TargetRule):

@@ -13,6 +13,7 @@ from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.figure import PNG, figure_formats
 from jaxplore.report.folder import locked_folder
 from jaxplore.report.table import to_markdown
+from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
 from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
 from jaxplore.study.comparison.maps import MapFile, read_datums, read_grids
@@ -165,12 +166,14 @@ def _with_shapes(
     Similar maps share a compiled program, so time and memory do not grow with their number.
     """
     variants = {each.explorer: each for each in reversed(episodes)}
-    # The office stands in for any map: only the resolution is read.
-    resolutions = {
-        name: make_exploration_settings({**each.entries, "map": OFFICE}).resolution
+    # The office stands in for any map: only the resolution and how images are read count.
+    settings = {
+        name: make_exploration_settings({**each.entries, "map": OFFICE})
         for name, each in variants.items()
     }
-    grids = {each: read_grids(maps, each) for each in set(resolutions.values())}
+    resolutions = {name: each.resolution for name, each in settings.items()}
+    reading = arguments(settings[episodes[0].explorer].map_file, OccupancyGrid.from_ros)
+    grids = {each: read_grids(maps, each, reading) for each in set(resolutions.values())}
     shapes = {
         each: common_shapes({name: grid.shape for name, grid in found.items()}, MOST_SHAPES)
         for each, found in grids.items()

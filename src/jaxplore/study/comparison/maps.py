@@ -6,7 +6,7 @@ import hashlib
 import math
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,9 @@ def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tupl
     )
 
 
-def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
+def read_grid(
+    path: str | os.PathLike[str], resolution: float, reading: Mapping[str, Any] | None = None
+) -> OccupancyGrid:
     """Read a ROS map at the resolution of a run; a finer map is resampled, a coarser one is kept.
 
     It is relative to its datum, as in a run.
@@ -111,22 +113,25 @@ def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
     Args:
         path: path of the map's YAML file.
         resolution: side of a cell [m].
+        reading: arguments of `OccupancyGrid.from_ros` by which the image is read.
 
     Raises:
         ValueError: a map that cannot be read.
     """
-    grid = OccupancyGrid.from_ros(path, datum=map_datum(path))
+    grid = OccupancyGrid.from_ros(path, datum=map_datum(path), **(reading or {}))
     # The tolerance keeps a map from resampling when both resolutions differ by rounding only.
     is_finer = grid.resolution < resolution * (1.0 - 1e-6)
     return grid.resample(resolution) if is_finer else grid
 
 
-def read_grids(maps: Sequence[MapFile], resolution: float) -> dict[str, OccupancyGrid]:
+def read_grids(
+    maps: Sequence[MapFile], resolution: float, reading: Mapping[str, Any] | None = None
+) -> dict[str, OccupancyGrid]:
     """Read maps by name, without those that cannot be read; see `read_grid`."""
     grids = {}
     for each in maps:
         with contextlib.suppress(ValueError):
-            grids[each.name] = read_grid(each.path, resolution)
+            grids[each.name] = read_grid(each.path, resolution, reading)
     return grids
 
 
