@@ -348,6 +348,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
         "read_laser_log": {"path": str(folder / "lidar.log")},
         "read_volume": {"path": str(folder / "volume.npy")},
+        "volume_datum": {"path": str(folder / "volume.npy")},
         "volume_explorer": {"robot": quadrotor},
         "volume_informative_mppi": {"robot": quadrotor, "perception": seen, "grid": volume},
         "volume_target_explorer": {

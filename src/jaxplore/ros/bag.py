@@ -216,9 +216,24 @@ def _opened(path: str | os.PathLike[str], *, is_checked: bool = False) -> Iterat
     if not is_checked:
         _check_files(Path(path))
     with ExitStack() as stack:
-        with _readable(path):
+        with _readable(path), _rows_limited():
             reader = stack.enter_context(module.Reader(Path(path)))
         yield reader
+
+
+@contextmanager
+def _rows_limited() -> Iterator[None]:
+    """Let the databases that are opened refuse long rows before they take memory for them."""
+    apsw = import_optional("apsw", EXTRA)
+
+    def limit(connection: Any) -> None:
+        connection.limit(apsw.SQLITE_LIMIT_LENGTH, MESSAGE_LIMIT + METADATA_LIMIT)
+
+    apsw.connection_hooks.append(limit)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(limit)
 
 
 def _check_files(path: Path) -> None:
