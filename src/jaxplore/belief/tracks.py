@@ -34,6 +34,8 @@ GAP = 0.3
 """Greatest distance of neighbouring points of a person [m]."""
 STILL_SPEED = 0.2
 """Speed below which something stands [m/s]."""
+CUT = 10.0
+"""Factor on the variance of the position of a cluster that is half hidden."""
 SMOOTHING = 0.2
 """Weight of a new measurement of the radius."""
 LEAST_RADIUS, GREATEST_RADIUS = 0.1, 0.6
@@ -286,21 +288,22 @@ class ObstacleTracker(eqx.Module):
         is_there: Bool[Array, " K"],
     ) -> tuple[Tracks, Int[Array, " K"]]:
         """Update the tracks by their clusters; return the track of each cluster, -1 without one."""
-        noise = self.position_std**2
-        innovation = tracks.covariance[:, 0, 0] + noise
+        # Of somebody who is half hidden, the middle of what is seen is beside the centre.
+        noises = jnp.where(clusters.is_cut, CUT, 1.0) * self.position_std**2
         away = measured[None] - tracks.mean[:, None, :2]
-        squared = jnp.sum(away * away, axis=-1) / innovation[:, None]
+        squared = jnp.sum(away * away, axis=-1) / (tracks.covariance[:, :1, 0] + noises)
         is_allowed = (squared < GATE) & tracks.is_alive[:, None] & is_there[None]
         chosen = assign(squared, is_allowed)
         is_measured = chosen != UNASSIGNED
         index = jnp.maximum(chosen, 0)
-        gain = tracks.covariance[:, :, 0] / innovation[:, None]
+        noise = noises[index]
+        gain = tracks.covariance[:, :, 0] / (tracks.covariance[:, 0, 0] + noise)[:, None]
         error = jnp.take_along_axis(away, index[:, None, None], axis=1)[:, 0]
         change = jnp.concatenate([gain[:, :1] * error, gain[:, 1:] * error], axis=1)
         # Joseph's form keeps the covariance positive definite in single precision.
         rest = jnp.eye(2) - gain[:, :, None] * jnp.asarray([1.0, 0.0])
         joseph = rest @ tracks.covariance @ jnp.swapaxes(rest, 1, 2)
-        joseph = joseph + noise * gain[:, :, None] * gain[:, None, :]
+        joseph = joseph + noise[:, None, None] * gain[:, :, None] * gain[:, None, :]
         width = 0.5 * clusters.width[index]
         seen = jnp.clip(width, LEAST_RADIUS, GREATEST_RADIUS) - tracks.radius
         is_whole = is_measured & ~clusters.is_cut[index]
@@ -308,7 +311,7 @@ class ObstacleTracker(eqx.Module):
             mean=jnp.where(is_measured[:, None], tracks.mean + change, tracks.mean),
             covariance=jnp.where(is_measured[:, None, None], joseph, tracks.covariance),
             radius=jnp.where(is_whole, tracks.radius + SMOOTHING * seen, tracks.radius),
-            hits=tracks.hits + is_measured,
+            hits=tracks.hits + is_measured.astype(jnp.int32),
             age=jnp.where(is_measured, 0.0, tracks.age),
             missed=jnp.where(is_measured, 0.0, tracks.missed),
         )

@@ -122,9 +122,7 @@ def _perception(
     goal = None if world.goal is None else world.goal[:2]
     watch, test = settings.watch, settings.anomalies
     # When absent, the default of `Perception` applies, not that of the scenario.
-    tracker = None
-    if expects_people(settings, world):
-        tracker = ObstacleTracker(**arguments(settings.people, ObstacleTracker))
+    tracker = ObstacleTracker(**arguments(settings.people, ObstacleTracker))
     unknown: dict[str, Any] = (
         {} if settings.max_unknown is None else {"max_unknown": settings.max_unknown}
     )
@@ -146,7 +144,7 @@ def _perception(
         is_goal_apart=settings.architecture == "portfolio" and goal is not None,
         car=car_motion(robot),
         is_localising=settings.localisation is not None,
-        tracker=tracker,
+        tracker=tracker if expects_people(settings, world) else None,
         **arguments(settings.fields, Perception),
         **unknown,
     )

@@ -100,10 +100,9 @@ def expects_people(settings: Settings, world: RunWorld) -> bool:
 
     A robot of a fleet, or on a known ground, is told of what moves.
     """
-    if settings.fleet is not None or world.ground is not None:
-        return False
     given = settings.people.are_expected
-    return bool(world.movers) if given is None else given
+    expected = bool(world.movers) if given is None else given
+    return expected and settings.fleet is None and world.ground is None
 
 
 def is_ros_map(settings: Settings) -> bool:

@@ -1,5 +1,6 @@
 """The pilot of a robot: scans and odometry in, checked velocity commands out."""
 
+import math
 from typing import Any
 
 import jax
@@ -418,6 +419,7 @@ class Pilot:
                     *self._points,
                     np.float32(elapsed),
                     np.int32(self._number),
+                    *self._ages(now),
                 )
             )
         )
@@ -425,12 +427,20 @@ class Pilot:
             self.controller,
             self.robot,
             self.check,
+            self.task.perception.tracker,
             self._memory,
             self._known.state.belief,
             inputs,
             self.scenario.control_period,
             self._key,
         )
+
+    def _ages(self, now: float) -> tuple[np.float32, np.float32]:
+        """Return how old the newest scan, and that in the map, are when a command takes effect."""
+        scan = now if self._scan is None else self._scan.time
+        times = scan, self._known.time if math.isfinite(self._known.time) else now
+        newest, mapped = (max(0.0, now - each) + self.options.latency for each in times)
+        return np.float32(newest), np.float32(mapped)
 
     def _stopping(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
         """Return the next command of a ramp to zero."""

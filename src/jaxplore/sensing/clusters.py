@@ -77,7 +77,7 @@ def cluster_points(
         ranges, right, 1, gap, is_circle
     )
     return Clusters(
-        total / jnp.maximum(count, 1)[:, None],
+        total / jnp.maximum(count, 1)[:, None].astype(total.dtype),
         jnp.where(count > 0, width, 0.0),
         count,
         is_cut & (count > 0),
