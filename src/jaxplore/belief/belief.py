@@ -156,6 +156,7 @@ def part(belief: Any, name: str) -> Any:
 _MAP = "the belief of a Perception"
 _SOURCES = {
     "obstacles": "Belief(obstacles=...), or obstacles given to the cost",
+    "tracks": "the belief of a Perception with a tracker",
     "to_goal": "the belief of a Perception with a goal apart",
     **dict.fromkeys(
         ("certainty", "position_variance"), "the belief of a scenario with a localisation"

@@ -4,6 +4,7 @@ import numpy as np
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_PEOPLE
+from jaxplore._xla import on_device
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.world import MovingObstacle
 
@@ -64,7 +65,8 @@ def walking_people(
         corners = ways.draw(rng, SHORTEST_WALK / world.resolution)
         there = [*corners, *corners[-2:0:-1]]
         there += [there[-1]] * (CORNERS - len(there))
-        places = np.asarray(world.frame.to_world(np.array(there, np.float32) + 0.5), np.float64)
+        cells = np.array(there, np.float32) + 0.5
+        places = np.asarray(world.frame.to_world(on_device(cells)), np.float64)
         path = tuple((float(x), float(y)) for x, y in places)
         walks.append(MovingObstacle(path, pace, size))
     return tuple(walks)
