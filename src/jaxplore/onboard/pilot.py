@@ -33,6 +33,7 @@ from jaxplore.onboard.tasks import Driver, DriveTask, Exploring
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.sweep import Sweep
 from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
@@ -188,7 +189,12 @@ class Pilot:
             self._data.add_jump(time, problem)
 
     def add_scan(
-        self, stamp: float, scan: Scan, points: np.ndarray, received: Instant | None = None
+        self,
+        stamp: float,
+        scan: Scan,
+        points: np.ndarray,
+        received: Instant | None = None,
+        sweep: Sweep | None = None,
     ) -> None:
         """Take a scan; one with a point that is not finite is left out.
 
@@ -197,6 +203,8 @@ class Pilot:
             scan: readings of the beams of the sensor.
             points: (N, 2) all valid returns in the frame of the robot [m].
             received: when it arrived; as `DriveClock.arrival` says when absent.
+            sweep: when its directions were measured, for a robot that moves meanwhile; all at the
+                time of the scan when absent.
         """
         time = self._scan_stamps.time_of(stamp, *self._clock.arrival(stamp, received))
         if time is None or not np.isfinite(points).all():
@@ -204,7 +212,7 @@ class Pilot:
         former = self._scan
         is_changed = former is None or not np.array_equal(former.points, points)
         self._data.add_scan(time, is_changed=is_changed)
-        self._scan = TakenScan(time, scan, points)
+        self._scan = TakenScan(time, scan, points, sweep)
         # While the robot brakes, nobody takes them.
         kept = [each for each in self._new if time - each.time <= CHECKED_SECONDS]
         self._new = [*kept, self._scan]
@@ -397,6 +405,10 @@ class Pilot:
         scans, self._new = self._new, []
         if not scans:
             return None
+        place = np.array([self.options.lidar_x, self.options.lidar_y])
+        last = self._history.last
+        twist = np.zeros(3) if last is None else last.twist
+        scans = [each.undistort(self.sensor, twist, place) for each in scans]
         for each in scans:
             pose = self._poses.reckoned(self._history.at(each.time))
             self._seen.add(each.time, each.points, pose)

@@ -166,7 +166,16 @@ class Sensor(Beams):
         noise = self.range_noise * jax.random.normal(key, first.shape)
         ranges = jnp.clip(first + noise, 0.0, self.max_range)
         is_return = is_met & ~is_mover if is_told and is_mover is not None else is_met
-        return Scan(jnp.where(is_met, ranges, self.max_range), is_return)
+        return self.degrade(Scan(jnp.where(is_met, ranges, self.max_range), is_return), key)
+
+    def degrade(self, scan: Scan, key: Key) -> Scan:
+        """Return a simulated scan with the errors of the sensor, beside noise; by default none.
+
+        Args:
+            scan: the scan with noise.
+            key: random key of the scan.
+        """
+        return scan
 
     def sight(
         self, grid: OccupancyGrid, scan: Scan, pose: Pose, ground: Ground | None = None
