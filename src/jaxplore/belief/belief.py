@@ -14,6 +14,7 @@ from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.recognition import ObjectClasses
 from jaxplore.belief.timed_reference import TimedReference
+from jaxplore.belief.tracks import Tracks
 from jaxplore.information.field import InformationField
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.field import ScalarField
@@ -64,6 +65,7 @@ class Belief(eqx.Module):
             robots claim it [m]; absent for a robot without a fleet.
         gain: when the known share of the map last rose; absent if the robot knows its pose, or must
             see places again, as on a patrol.
+        tracks: tracks of what moves, from which `obstacles` follow; absent without a tracker.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -85,6 +87,7 @@ class Belief(eqx.Module):
     revisit: Float[Array, "rows columns"] | None = None
     claims: Float[Array, "rows columns"] | None = None
     gain: Gain | None = None
+    tracks: Tracks | None = None
 
     @property
     def pull(self) -> ScalarField:
@@ -153,6 +156,7 @@ def part(belief: Any, name: str) -> Any:
 _MAP = "the belief of a Perception"
 _SOURCES = {
     "obstacles": "Belief(obstacles=...), or obstacles given to the cost",
+    "tracks": "the belief of a Perception with a tracker",
     "to_goal": "the belief of a Perception with a goal apart",
     **dict.fromkeys(
         ("certainty", "position_variance"), "the belief of a scenario with a localisation"

@@ -25,6 +25,7 @@ from jaxplore.costs.localisation import UncertaintyCost as UncertaintyCost
 from jaxplore.costs.moving import MovingObstacleCost as MovingObstacleCost
 from jaxplore.costs.obstacles import DiscObstacleCost as DiscObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost
+from jaxplore.costs.occlusion import OcclusionCost as OcclusionCost
 from jaxplore.costs.path_following import ContouringCost as ContouringCost
 from jaxplore.costs.path_following import CorridorCost as CorridorCost
 from jaxplore.costs.path_following import LagCost as LagCost

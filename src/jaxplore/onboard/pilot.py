@@ -1,5 +1,6 @@
 """The pilot of a robot: scans and odometry in, checked velocity commands out."""
 
+import math
 from typing import Any
 
 import jax
@@ -32,6 +33,7 @@ from jaxplore.onboard.tasks import Driver, DriveTask, Exploring
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.sweep import Sweep
 from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
@@ -187,7 +189,12 @@ class Pilot:
             self._data.add_jump(time, problem)
 
     def add_scan(
-        self, stamp: float, scan: Scan, points: np.ndarray, received: Instant | None = None
+        self,
+        stamp: float,
+        scan: Scan,
+        points: np.ndarray,
+        received: Instant | None = None,
+        sweep: Sweep | None = None,
     ) -> None:
         """Take a scan; one with a point that is not finite is left out.
 
@@ -196,6 +203,8 @@ class Pilot:
             scan: readings of the beams of the sensor.
             points: (N, 2) all valid returns in the frame of the robot [m].
             received: when it arrived; as `DriveClock.arrival` says when absent.
+            sweep: when its directions were measured, for a robot that moves meanwhile; all at the
+                time of the scan when absent.
         """
         time = self._scan_stamps.time_of(stamp, *self._clock.arrival(stamp, received))
         if time is None or not np.isfinite(points).all():
@@ -203,7 +212,7 @@ class Pilot:
         former = self._scan
         is_changed = former is None or not np.array_equal(former.points, points)
         self._data.add_scan(time, is_changed=is_changed)
-        self._scan = TakenScan(time, scan, points)
+        self._scan = TakenScan(time, scan, points, sweep)
         # While the robot brakes, nobody takes them.
         kept = [each for each in self._new if time - each.time <= CHECKED_SECONDS]
         self._new = [*kept, self._scan]
@@ -396,6 +405,10 @@ class Pilot:
         scans, self._new = self._new, []
         if not scans:
             return None
+        place = np.array([self.options.lidar_x, self.options.lidar_y])
+        last = self._history.last
+        twist = np.zeros(3) if last is None else last.twist
+        scans = [each.undistort(self.sensor, twist, place) for each in scans]
         for each in scans:
             pose = self._poses.reckoned(self._history.at(each.time))
             self._seen.add(each.time, each.points, pose)
@@ -418,6 +431,7 @@ class Pilot:
                     *self._points,
                     np.float32(elapsed),
                     np.int32(self._number),
+                    *self._ages(now),
                 )
             )
         )
@@ -425,12 +439,20 @@ class Pilot:
             self.controller,
             self.robot,
             self.check,
+            self.task.perception.tracker,
             self._memory,
             self._known.state.belief,
             inputs,
             self.scenario.control_period,
             self._key,
         )
+
+    def _ages(self, now: float) -> tuple[np.float32, np.float32]:
+        """Return how old the newest scan, and that in the map, are when a command takes effect."""
+        scan = now if self._scan is None else self._scan.time
+        times = scan, self._known.time if math.isfinite(self._known.time) else now
+        newest, mapped = (max(0.0, now - each) + self.options.latency for each in times)
+        return np.float32(newest), np.float32(mapped)
 
     def _stopping(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
         """Return the next command of a ramp to zero."""

@@ -220,7 +220,7 @@ def _feed(
     received = Instant(given.time - skipped)
     if is_scan:
         scan = messages.laser_scan_of(given.message, pilot.sensor, mount, no_echo)
-        pilot.add_scan(scan.time - skipped, scan.scan, scan.points, received)
+        pilot.add_scan(scan.time - skipped, scan.scan, scan.points, received, scan.sweep)
     else:
         place = messages.odometry_of(given.message)
         pilot.add_odometry(place.time - skipped, place.pose, place.twist, received)

@@ -26,6 +26,7 @@ from jaxplore.settings.fleet import FleetSettings
 from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
+from jaxplore.settings.people import PeopleSettings
 from jaxplore.settings.robot import (
     CARS,
     GROUND_ROBOTS,
@@ -226,6 +227,7 @@ class Settings(RunSettings):
         guard: whether the robot brakes while its pose, its scan or its motion cannot be true: see
             `jaxplore.MotionGuard`. A fleet has none.
         fleet: several robots that share what they know; one robot when absent.
+        people: people who walk on the map, and how the robot minds them.
     """
 
     map: str
@@ -260,6 +262,7 @@ class Settings(RunSettings):
     rates: RatesSettings = RatesSettings()
     guard: bool = True
     fleet: FleetSettings | None = None
+    people: PeopleSettings = PeopleSettings()
 
 
 def scenario_path(name: str) -> Path:

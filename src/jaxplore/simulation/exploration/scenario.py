@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
-from jaxplore._trees import HostOnly
+from jaxplore._trees import HostOnly, with_field
 from jaxplore._types import (
     ArrayLike,
     ControlVector,
@@ -31,6 +31,7 @@ from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.perception_checks import as_sensors
+from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.base import Dynamics
@@ -75,6 +76,9 @@ from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
+
+TOLD_NOISE = (0.05, 0.1)
+"""Default of `tracking_noise` where the robot is told."""
 
 
 class ExplorationScenario(Scenario):
@@ -131,9 +135,11 @@ class ExplorationScenario(Scenario):
         faults: injected faults; none when absent.
         targets: (M, 2) positions of the targets to find [m]; none when absent.
         objects: objects of other classes, for a perception with a `Recognition`; none when absent.
-        moving_obstacles: true moving obstacles; none when absent. The robot's tracker measures
-            those in sight of any sensor. Their start is drawn from the run's key.
-        tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
+        moving_obstacles: true moving obstacles; none when absent. The robot
+            finds them in the scans (`ObstacleTracker`). Their start is drawn from the run's key.
+        tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
+            told of the obstacles in sight. When absent it has a tracker instead, but on a known
+            ground, whose hills return beams like what moves, it is told with (0.05, 0.1).
         planted: what differs from the prior map, to judge reports of anomalies; none when absent.
         chassis: wheels and centre of mass of the robot; without it the robot cannot tip over.
         localisation: how the robot finds its pose, from an odometry with errors and its scans; it
@@ -201,7 +207,7 @@ class ExplorationScenario(Scenario):
         targets: Rows | None = None,
         objects: Sequence[LabelledObject] | None = None,
         moving_obstacles: MovingObstacles | None = None,
-        tracking_noise: Vector = (0.05, 0.1),
+        tracking_noise: Vector | None = None,
         planted: PlantedAnomalies | None = None,
         chassis: Chassis | None = None,
         localisation: Localisation | None = None,
@@ -227,7 +233,8 @@ class ExplorationScenario(Scenario):
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
         is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
         self.moving_obstacles = None if is_still else moving_obstacles
-        self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
+        told = TOLD_NOISE if tracking_noise is None else tracking_noise
+        self.tracking_noise = _checks.vector("tracking_noise", told, 2, at_least=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         is_apart = perception is not None and perception.is_goal_apart
         self.goal_radius, self.max_unknown = checks.checked_end(goal_radius, max_unknown, is_apart)
@@ -241,6 +248,9 @@ class ExplorationScenario(Scenario):
             self.max_unknown,
             is_localising=localisation is not None,
         )
+        is_told = tracking_noise is not None or ground is not None
+        if is_told or (self.moving_obstacles is not None and perception.tracker is None):
+            perception = with_field(perception, "tracker", None if is_told else ObstacleTracker())
         known = checks.checked_prior(prior, world, datum)
         if localisation is not None:
             localisation.localiser.check_map(prior)
@@ -291,6 +301,11 @@ class ExplorationScenario(Scenario):
 
     def __repr__(self) -> str:
         return describe_fields(self, "world", "robot", "sensors", "start", "goal", "period")
+
+    def with_told_obstacles(self) -> "ExplorationScenario":
+        """Return the scenario with a robot that is told of moving obstacles (`tracking_noise`)."""
+        told = with_field(self.perception, "tracker", None)
+        return with_field(self, "perception", told)
 
     @property
     def num_targets(self) -> int:
@@ -544,4 +559,5 @@ class ExplorationScenario(Scenario):
         grid = self.map_arrays.world
         if self.faults is not None:
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
-        return TrueWorld(grid, self.map_arrays.ground, moving, moment.time)
+        is_told = self.perception.tracker is None
+        return TrueWorld(grid, self.map_arrays.ground, moving, moment.time, is_told)

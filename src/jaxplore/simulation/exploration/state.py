@@ -88,7 +88,7 @@ def initial_state(
         located: localisation at the start; None if the robot knows its pose.
     """
     number = sum(sensor.num_beams for sensor in sensors)
-    if moving is not None:
+    if moving is not None and belief.tracks is None:
         belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
     sums = MapSums.of(belief.grid.probability, reachable)
     progress = map_progress(sums, belief, reachable, jnp.zeros(()))
@@ -102,7 +102,9 @@ def initial_state(
         is_seen=jnp.zeros(num_targets, bool),
         moving_obstacles=moving,
         ranges=jnp.asarray(max_ranges(sensors)),
-        points=ScanPoints.blank(number, 0.0) if is_guarded else None,
+        points=ScanPoints.blank(number, 0.0, can_move=belief.tracks is not None)
+        if is_guarded
+        else None,
         wheels=Wheels.at_rest() if can_tip else None,
         located=located,
     )
