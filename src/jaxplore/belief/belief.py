@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore._types import Flag, GridValues, Pose, Scalar
+from jaxplore._types import Flag, GridValues, Pose, Position, Scalar
 from jaxplore.belief.anomalies import Anomalies
 from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.gain import Gain
@@ -51,6 +51,11 @@ class Belief(eqx.Module):
         ground: terrain, known in advance; level and traversable when absent.
         to_goal: cost to go to the goal [m] through cells that are not known to be occupied, and
             the direction to it; absent if no cost needs it.
+        goal: position (x, y) of the goal at which the robot shall come to rest [m]; none when
+            absent.
+        goal_heading: heading at the goal [rad]; any when absent.
+        path_stop: arc length of the next point of a path at which the robot shall stand [m]; the
+            end of an open path when absent.
         obstacles: known moving obstacles; none when absent.
         idleness: (H, W) time since each cell was last seen [s], infinite if never; absent without
             an idleness map.
@@ -88,6 +93,9 @@ class Belief(eqx.Module):
     claims: Float[Array, "rows columns"] | None = None
     gain: Gain | None = None
     tracks: Tracks | None = None
+    goal: Position | None = None
+    goal_heading: Scalar | None = None
+    path_stop: Scalar | None = None
 
     @property
     def pull(self) -> ScalarField:

@@ -93,6 +93,7 @@ class Perception(BeliefFields):
         patience: time near a place after which its weight has decayed to 1/e [s].
         memory: time constant with which `dwell` is forgotten [s].
         goal: position (x, y) to which the robot goes in the end [m]; no goal by default.
+        goal_heading: heading at the goal [rad]; any when absent.
         max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map counts as explored;
             used only with a goal.
         ground: ground of the map's cells; level and traversable by default.
@@ -138,6 +139,7 @@ class Perception(BeliefFields):
         patience: ArrayLike = 3.0,
         memory: ArrayLike = 60.0,
         goal: Vector | None = None,
+        goal_heading: ArrayLike | None = None,
         max_unknown: ArrayLike = MAX_UNKNOWN,
         ground: Ground | None = None,
         watch: IdlenessMap | None = None,
@@ -192,6 +194,9 @@ class Perception(BeliefFields):
         self.patience = _checks.scalar("patience", patience, above=0.0)
         self.memory = _checks.scalar("memory", memory, above=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
+        self.goal_heading = (
+            None if goal_heading is None else _checks.scalar("goal_heading", goal_heading)
+        )
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
         self.ground, self.watch, self.recognition = ground, watch, recognition
         self.anomalies = checked_test(anomalies, self.sensors[0], ground, watch)
@@ -253,6 +258,8 @@ class Perception(BeliefFields):
             anomalies,
             gain=Gain(nothing, nothing) if self.gives_up else None,
             tracks=tracks,
+            goal=self.goal,
+            goal_heading=self.goal_heading,
         )
 
     def standing(self, grid: OccupancyGrid, pose: Pose) -> OccupancyGrid:

@@ -132,6 +132,7 @@ def _perception(
         robot.radius,
         sensor_model=build_sensor_model(settings.sensor_model),
         goal=goal,
+        goal_heading=None if goal is None else settings.goal_heading,
         ground=world.ground,
         watch=None if watch is None else IdlenessMap(**arguments(watch, IdlenessMap)),
         anomalies=(

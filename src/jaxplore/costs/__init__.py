@@ -31,6 +31,7 @@ from jaxplore.costs.path_following import CorridorCost as CorridorCost
 from jaxplore.costs.path_following import LagCost as LagCost
 from jaxplore.costs.path_following import PathErrorCost as PathErrorCost
 from jaxplore.costs.path_following import ProgressCost as ProgressCost
+from jaxplore.costs.path_following import StopCost as StopCost
 from jaxplore.costs.terrain import StabilityCost as StabilityCost
 from jaxplore.costs.terrain import TerrainCost as TerrainCost
 from jaxplore.costs.terrain import TraversabilityCost as TraversabilityCost

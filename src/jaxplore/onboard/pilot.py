@@ -12,6 +12,7 @@ from jaxplore._xla import on_device
 from jaxplore.control.base import Controller
 from jaxplore.control.guard import MISFIT, REASONS
 from jaxplore.control.validation import StopCheck
+from jaxplore.dynamics.goal_check import Motion
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
 from jaxplore.onboard.drive_clock import DriveClock, Instant, Stamps
@@ -263,7 +264,7 @@ class Pilot:
             return self._stopping(now, elapsed, mode, problem)
         self._adapt()
         state = self._state(now)
-        waits_for = self.task.waits_for(np.asarray(state[:2]))
+        waits_for = self.task.waits_for(np.asarray(state[:2]), self._motion)
         if waits_for:
             return self._stopping(now, elapsed, Mode.WAITING, waits_for)
         if not self.options.is_obeyed:
@@ -326,7 +327,8 @@ class Pilot:
         # Where the clock has jumped since the command, the fields wait for the next one.
         cost = None if time is None else self._mapper.update_fields(perception, time, pose)
         if cost is not None and time is not None:
-            self.finish(self.task.update(time, cost, pose[:2], is_started=self.is_started))
+            told = {"is_started": self.is_started, "motion": self._motion}
+            self.finish(self.task.update(time, cost, pose[:2], **told))
 
     def finish(self, reason: str) -> None:
         """End the drive: the robot stops and stays.
@@ -399,6 +401,13 @@ class Pilot:
         last = self._history.last
         assert last is not None
         return robot_state(self.robot, self._local(last.pose), last.twist, self._expected)
+
+    @property
+    def _motion(self) -> Motion:
+        """How fast the robot moves by its odometry."""
+        assert self._history.last is not None
+        vx, vy, turn_rate = self._history.last.twist.tolist()
+        return Motion(math.hypot(vx, vy), turn_rate)
 
     def _take_scan(self, now: float) -> float | None:
         """Take the points of new scans for the check; return the time of the newest."""

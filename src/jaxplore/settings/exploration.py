@@ -3,7 +3,7 @@
 import importlib.resources
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -234,13 +234,19 @@ class Settings(RunSettings):
     world: dict[str, Any] | None = None
     architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
     goal: tuple[Real, Real] | tuple[Real, Real, Real] | None = None
-    goal_radius: Length | None = setting(ExplorationScenario, "goal_radius")
+    goal_radius: Length = setting(ExplorationScenario, "goal_radius")
+    goal_heading: Real | None = setting(ExplorationScenario, "goal_heading")
+    goal_tolerance: Positive = setting(ExplorationScenario, "goal_tolerance")
+    goal_speed: Positive = setting(ExplorationScenario, "goal_speed")
     max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
     hover_time: Wait = setting(ExplorationScenario, "hover_time")
     is_map_known: bool = False
     altitude: Real = setting(Flight, "altitude")
     resolution: Spacing = setting(office, "resolution")
     time_limit: Duration = 900.0
+    target: Literal["coverage", "information", "walls", "never"] | None = setting(
+        ExplorationScenario, "target"
+    )
     target_coverage: Share | None = setting(ExplorationScenario, "target_coverage")
     give_up_after: Duration | None = setting(ExplorationScenario, "give_up_after")
     map_file: MapFileSettings = MapFileSettings()

@@ -226,6 +226,7 @@ class ExplorationData(RunData):
         state_names: names of the components of the robot's state.
         robot_radius: radius of the robot [m].
         target_coverage: coverage at which exploration is finished; None if it never is.
+        target: what the exploration ends by: coverage, information, walls or never.
         footprint: (4, 2) corners of a robot that is a rectangle, in its own frame [m]; (0, 2) of a
             disc.
         targets: (M, 2) positions of the targets [m].
@@ -270,6 +271,7 @@ class ExplorationData(RunData):
     objects: ObjectData | None = None
     given_up_step: int | None = None
     localisation: LocalisationData | None = None
+    target: str = "coverage"
 
     def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that are or have positions, with an offset (2,) [m] added."""

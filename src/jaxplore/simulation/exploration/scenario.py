@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -35,6 +36,13 @@ from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.goal_check import (
+    GOAL_RADIUS,
+    GOAL_SPEED,
+    GOAL_TOLERANCE,
+    GoalCheck,
+    Motion,
+)
 from jaxplore.geometry.chassis import Chassis
 from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.datum import ORIGIN, Datum
@@ -53,9 +61,9 @@ from jaxplore.simulation.exploration.agent_view import ExplorationView
 from jaxplore.simulation.exploration.carrying import carried, check_carrying, landing
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.finish import (
+    chosen_target,
     default_give_up_after,
     default_objective,
-    has_coverage_target,
     is_finished,
 )
 from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
@@ -86,17 +94,22 @@ class ExplorationScenario(Scenario):
 
     When it is finished depends on the task:
 
-    - By default: at the target coverage.
-    - With a goal: within `goal_radius` of it, with less than `max_unknown` of the map unknown or at
-      the target coverage. With a goal apart (see `Perception`) the robot drives to the goal first
-      and explores on the way.
+    - By default: at the target coverage, which the true map tells and the robot does not know.
+    - With the target `information`, as without a target coverage: when the robot has nothing left
+      to learn by its own map, as in the node. No place with enough information, see
+      `Perception.min_information`, has been reachable for 3 s.
+    - With the target `walls`: when of the cells around its known free space a share
+      `target_coverage` are known walls, or when nothing at all is left to learn.
+    - With a goal: when the robot has reached it (`GoalCheck`), with less than `max_unknown` of the
+      map unknown, at the target coverage, or with nothing left to learn. With a goal apart (see
+      `Perception`) the robot drives to the goal first and explores on the way.
     - With `targets`: when the first sensor has seen all of them, or recognised all of them if the
       perception has a `Recognition`.
-    - Without target coverage, goal and targets, as on a patrol: never before the time limit.
+    - With a watch, without target coverage, goal and targets: never before the time limit.
 
-    If only the coverage counts, the exploration is given up when the coverage has not risen by 0.1
-    % for `give_up_after`: what is left cannot be seen from where the robot fits, or is not worth a
-    drive. The run then ends without being finished.
+    If only the coverage or the walls count, the exploration is given up when the share has not
+    risen by 0.1 % for `give_up_after`: what is left cannot be seen from where the robot fits, or is
+    not worth a drive. The run then ends without being finished.
 
     Cells that the world does not know to be free are solid. *Reachable* are the free cells that the
     centre of the robot's disc can reach from the start. Coverage is the share of them that the
@@ -118,16 +131,21 @@ class ExplorationScenario(Scenario):
         field_rate: rate of updates of the information and guidance fields [Hz]; a whole fraction of
             the control rate. The first update is at the first step, the others at the end of each
             period.
-        target_coverage: share of the reachable cells at which exploration is finished; None for
-            never.
+        target: what the exploration ends by, `coverage`, `information`, `walls` or `never`; by
+            default the coverage if there is a target, else the information, and on a patrol
+            nothing; static.
+        target_coverage: share of the reachable cells, or of the walls, at which exploration is
+            finished; None for none.
         give_up_after: time without a rise of the coverage after which the exploration is given up
             [s]; when absent a minute and the time of a drive along the diagonal of the map and
             back.
         prior: map that the robot knows in advance, with the cells of the world; nothing when
             absent.
         goal: goal position (x, y) [m]; none when absent.
-        goal_radius: distance at which the goal is reached [m]; when absent 1.5, or 0.25 for a
-            goal apart.
+        goal_radius: distance within which the goal is reached by a robot at rest [m].
+        goal_heading: heading at the goal [rad]; any when absent.
+        goal_tolerance: greatest error of the heading at the goal [rad].
+        goal_speed: speed up to which the robot is at rest at the goal [m/s].
         max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map is explored; when
                 absent 0.05, or 1 for a goal apart, which then needs no explored map.
         altitude: z of the start, for robots that have one [m].
@@ -172,6 +190,9 @@ class ExplorationScenario(Scenario):
     give_up_after: Scalar
     goal: Position | None
     goal_radius: Scalar
+    goal_heading: Scalar | None
+    goal_tolerance: Scalar
+    goal_speed: Scalar
     max_unknown: Scalar
     hover_steps: Count
     faults: Faults | None
@@ -182,6 +203,7 @@ class ExplorationScenario(Scenario):
     planted: PlantedAnomalies | None
     chassis: Chassis | None
     localisation: Localisation | None
+    target: str = eqx.field(static=True)
     clearance_reach: int = eqx.field(static=True)
 
     def __init__(
@@ -195,11 +217,15 @@ class ExplorationScenario(Scenario):
         control_rate: float = 50.0,
         sensing_rate: float = 10.0,
         field_rate: float = 5.0,
+        target: str | None = None,
         target_coverage: ArrayLike | None = 0.99,
         give_up_after: ArrayLike | None = None,
         prior: OccupancyGrid | None = None,
         goal: Vector | None = None,
-        goal_radius: ArrayLike | None = None,
+        goal_radius: ArrayLike = GOAL_RADIUS,
+        goal_heading: ArrayLike | None = None,
+        goal_tolerance: ArrayLike = GOAL_TOLERANCE,
+        goal_speed: ArrayLike = GOAL_SPEED,
         max_unknown: ArrayLike | None = None,
         altitude: float = 0.0,
         hover_time: float = 0.0,
@@ -237,14 +263,18 @@ class ExplorationScenario(Scenario):
         self.tracking_noise = _checks.vector("tracking_noise", told, 2, at_least=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         is_apart = perception is not None and perception.is_goal_apart
-        self.goal_radius, self.max_unknown = checks.checked_end(goal_radius, max_unknown, is_apart)
+        ends = (goal_radius, goal_heading, goal_tolerance, goal_speed)
+        check = GoalCheck.of((0.0, 0.0) if goal is None else goal, *ends)
+        _, self.goal_radius, heading, self.goal_tolerance, self.goal_speed = check
+        self.goal_heading = None if goal is None else heading
+        self.max_unknown = checks.checked_unknown(max_unknown, is_apart=is_apart)
         perception = checks.checked_perception(
             perception,
             self.sensors,
             world,
             robot,
             ground,
-            self.goal,
+            self.goal_check,
             self.max_unknown,
             is_localising=localisation is not None,
         )
@@ -271,6 +301,9 @@ class ExplorationScenario(Scenario):
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.checked_coverage(target_coverage)
+        self.target = chosen_target(
+            target, has_coverage=target_coverage is not None, is_patrol=perception.watch is not None
+        )
         if give_up_after is None:
             give_up_after = default_give_up_after(world, robot)
         self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
@@ -278,6 +311,14 @@ class ExplorationScenario(Scenario):
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
         self.perception, self.planted = perception, planted
+
+    @property
+    def goal_check(self) -> GoalCheck | None:
+        """Check whether the goal is reached; None without a goal."""
+        if self.goal is None:
+            return None
+        ends = (self.goal_heading, self.goal_tolerance, self.goal_speed)
+        return GoalCheck(self.goal, self.goal_radius, *ends)
 
     @property
     def world(self) -> OccupancyGrid:
@@ -325,7 +366,7 @@ class ExplorationScenario(Scenario):
     @property
     def objective(self) -> str:
         """Default objective: time to the end, or the idleness of a patrol, plus contacts."""
-        return default_objective(self.num_targets, self.goal, self.target_coverage)
+        return default_objective(self.num_targets, self.goal, self.target)
 
     @property
     def num_reachable(self) -> Scalar:
@@ -395,8 +436,19 @@ class ExplorationScenario(Scenario):
         self, state: ExplorationState, moment: Moment, key: Key
     ) -> tuple[ExplorationState, Belief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        known = self.senses.perceive(state, self.true_world(state, moment), moment, key)
-        return known, known.belief
+        senses, gain = self.senses, state.gain
+        state = senses.perceive(state, self.true_world(state, moment), moment, key)
+        place = self.robot.position(self.measured(state))
+        known = state.known.after(state.belief, place, self.control_period, self.target)
+        if self.target == "walls":
+            known = jax.lax.cond(
+                senses.is_scan_due(moment.step),
+                lambda: known.counted(state.belief.grid),
+                lambda: known,
+            )
+            state = state._replace(gain=gain.after(known.walls, self.control_period))
+        state = state._replace(known=known)
+        return state, state.belief
 
     @property
     def senses(self) -> Senses:
@@ -450,7 +502,8 @@ class ExplorationScenario(Scenario):
             # After the odometry has measured the step: it does not notice.
             is_carried = self.faults.is_carried(moment.time, self.control_period)
             record = carried(record, self.robot, self.start, state.landing, is_carried)
-        state = state._replace(robot=record.state, wheels=wheels, located=located)
+        motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
+        state = state._replace(robot=record.state, wheels=wheels, located=located, motion=motion)
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -473,9 +526,12 @@ class ExplorationScenario(Scenario):
         Args:
             state: the task's state, with the map that the robot knows in `belief.grid`.
         """
-        position = self.robot.position(state.robot)
-        end = (self.target_coverage, self.goal, self.goal_radius, self.max_unknown)
-        return is_finished(position, state.progress, state.is_seen, *end)
+        check, is_there = self.goal_check, None
+        if check is not None:
+            # A robot that finds its pose is where it takes itself to be.
+            is_there = check.is_reached(self.robot.pose(self.measured(state)), state.motion)
+        end = (self.target, self.target_coverage, state.known, is_there, self.max_unknown)
+        return is_finished(state.progress, state.is_seen, *end)
 
     def is_given_up(self, state: ExplorationState) -> Flag:
         """Check whether the exploration is given up, as the class says.
@@ -485,7 +541,7 @@ class ExplorationScenario(Scenario):
         """
         if self.goal is not None or self.num_targets > 0:
             return jnp.array(False)
-        is_judged = has_coverage_target(self.target_coverage) & (state.finished == 0)
+        is_judged = (self.target in ("coverage", "walls")) & (state.finished == 0)
         return is_judged & (state.gain.since >= self.give_up_after)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
@@ -536,7 +592,7 @@ class ExplorationScenario(Scenario):
         """Make the recording of a run."""
         names = () if controller is None else controller.member_names
         parts = (self.map_arrays.cropped(), self.robot, self.start, self.period)
-        end = (self.goal, self.target_coverage, self.targets)
+        end = (self.goal, self.target, self.target_coverage, self.targets)
         planted, how = self.planted, self.perception.recognition
         after: ExplorationState = run.state.task
         is_given_up, place = bool(self.is_given_up(after)), None
