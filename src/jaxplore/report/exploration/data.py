@@ -182,6 +182,8 @@ class ExplorationFrame(Frame):
             detected, (0, 0) without a detector.
         terms: value of each cost term for the nominal trajectory.
         sample_terms: cost of each term of the rollouts (N,), by name; empty if they are not known.
+        tracks: (N, 2, 2) places of what the robot tracks, now and in a second [m]; NaN for unused
+            tracks, (0, 2, 2) without a tracker.
     """
 
     state: np.ndarray
@@ -198,8 +200,9 @@ class ExplorationFrame(Frame):
     terms: dict[str, float]
     sample_terms: dict[str, np.ndarray]
     classes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    tracks: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2, 2)))
 
-    places = ("scan", "samples", "plan", "reference", "movers")
+    places = ("scan", "samples", "plan", "reference", "movers", "tracks")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
