@@ -160,20 +160,19 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Together(config, log)
 
 
-LONG = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.long\b", re.MULTILINE)
-"""How a file of tests says that it compiles much, or starts programs that do."""
+LONG = re.compile(r"^(<!-- )?pytestmark = (\[\s*)?pytest\.mark\.long\b", re.MULTILINE)
+"""How a file of tests or a document says that it compiles much, or starts programs that do."""
+
+
+def _is_long(path: Path) -> bool:
+    return LONG.search(path.read_text(encoding="utf-8")) is not None
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave files of the other layer unread: to import them all takes half a minute.
-
-    The documents are of the long layer, but for README.md.
-    """
+    """Leave files of the other layer unread: to import them all takes half a minute."""
     if config.option.markexpr not in ("long", "not long") or collection_path.is_dir():
         return None
-    is_long = collection_path.suffix == ".md" and collection_path.name != "README.md"
-    if collection_path.suffix == ".py":
-        is_long = LONG.search(collection_path.read_text(encoding="utf-8")) is not None
+    is_long = collection_path.suffix in (".md", ".py") and _is_long(collection_path)
     return True if is_long != (config.option.markexpr == "long") else None
 
 
@@ -199,7 +198,7 @@ class DocumentFile(pytest.File):
         """Yield the document as one test."""
         if any(documents.parse(self.path).examples()):
             item = DocumentItem.from_parent(self, name="python blocks")
-            if self.path.name != "README.md":
+            if _is_long(self.path):
                 item.add_marker(pytest.mark.long)
             yield item
 

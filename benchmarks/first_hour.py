@@ -37,7 +37,7 @@ class Sizes(NamedTuple):
     """Names of commands, and how often each runs."""
 
     commands: tuple[str, ...] = tuple(COMMANDS)
-    repeats: int = 3
+    repeats: int = 2
 
 
 FULL = Sizes()

@@ -57,7 +57,7 @@ class Sizes(NamedTuple):
     """Entries of settings and names of those that are changed, by place, factors, and seeds."""
 
     places: Places = PLACES
-    factors: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
+    factors: tuple[float, ...] = (0.25, 4.0)
     runs: int = 2
 
 

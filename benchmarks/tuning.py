@@ -8,7 +8,7 @@ generations with their reports, without the compilation; and beside that with wh
 between: proposing, keeping, telling.
 
 The problems grow: a point mass with a quadratic cost, which is a function (`VectorEpisodes`; one by
-one it is a batch of 1); a car along the generated track with few and with the default rollouts; an
+one it is a batch of 1); a car along the generated track with few rollouts; an
 explorer in a small office.
 """
 
@@ -62,7 +62,7 @@ class Sizes(NamedTuple):
     settings: sensitivity.Sizes
 
 
-FULL = Sizes(lambda: (_point_mass(64), _track(64), _track(512), _office()), 3, sensitivity.FULL)
+FULL = Sizes(lambda: (_point_mass(64), _track(64), _office()), 3, sensitivity.FULL)
 SMOKE = Sizes(lambda: (_point_mass(4),), 1, sensitivity.SMOKE)
 TITLES = {
     "episodes": "Episodes of a search, a population side by side and one by one",

@@ -31,7 +31,7 @@ class Sizes(NamedTuple):
     others: Mapping[str, dict[str, Any]] = {"track, 5 obstacles": TRACK}
     pages: tuple[int, ...] = (0, 1)
     run_steps: int = 1500
-    pairs: int = 5
+    pairs: int = 3
 
 
 FULL = Sizes()

@@ -9,12 +9,10 @@ import pytest
 import yaml
 
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.build.volume import build_sensors, volume_shape
+from jaxplore.build.volume import build_sensors, build_world, volume_size
 from jaxplore.cli import main
-from jaxplore.maps.files.volume_file import read_volume
+from jaxplore.maps.files.volume_file import open_volume
 from jaxplore.settings.volume import GENERATED
-
-pytestmark = pytest.mark.long
 
 # As in the tests of volumes elsewhere, which run these programs too.
 FEW = (
@@ -112,17 +110,67 @@ def test_a_file_is_read_once_until_it_changes(room: Path, monkeypatch) -> None:
 
     def counted(*arguments: object, **more: object):
         read.append(arguments)
-        return read_volume(*arguments, **more)
+        return open_volume(*arguments, **more)
 
-    monkeypatch.setattr("jaxplore.build.volume.read_volume", counted)
+    monkeypatch.setattr("jaxplore.build.volume.open_volume", counted)
     settings = make_settings({"volume": str(room / "room.npy"), "resolution": 0.2})
-    assert volume_shape(settings) == volume_shape(settings) == (12, 20, 40)
+    assert volume_size(settings) == volume_size(settings) == ((12, 20, 40), 0.2)
+    worlds = [build_world(settings)[0] for _ in range(2)]
+    assert worlds[0] is worlds[1]
+    assert volume_size(settings)[0] == worlds[0].shape
     assert len(read) == 1
     np.save("room.npy", np.ones((4, 5, 6), bool))
-    assert volume_shape(settings) == (4, 5, 6)
+    assert volume_size(settings)[0] == (4, 5, 6)
     # A finer grid of the same file is another volume.
-    volume_shape(make_settings({"volume": str(room / "room.npy"), "resolution": 0.1}))
+    volume_size(make_settings({"volume": str(room / "room.npy"), "resolution": 0.1}))
     assert len(read) == 3
+
+
+def test_memory_is_estimated_before_voxels_are_made(room: Path, capsys, monkeypatch) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box(extents=(60.0, 20.0, 3.0)).export("hall.stl")
+    monkeypatch.setattr(
+        "jaxplore.maps.files.volume_file.touched_voxels", lambda *_: pytest.fail("voxels are made")
+    )
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "hall.stl", "--resolution", "0.05", "--memory-limit", "2", "--out", "out"])
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert "3.46 GB of it for the voxels (60 x 400 x 1200 voxels" in told
+
+
+def test_a_volume_in_utm_is_run_in_its_own_coordinates(room: Path, capsys) -> None:
+    solid, corner = np.load("room.npy"), np.array([500_000.0, 4_649_776.0, 100.0])
+    np.savez("utm.npz", solid=solid, resolution=0.2, origin=corner)
+    start = corner + np.array([2.0, 1.5, 1.0])
+    size = ("--time-limit", "0.5", "--no-animation", "--out", "out", *FEW)
+    main(["run", "utm.npz", "--start", *map(str, start), "0.3", *size])
+    found = np.load(room / "out" / "arrays.npz")
+    np.testing.assert_allclose(found["origin"], corner, atol=1e-5)
+    np.testing.assert_allclose(found["positions"][0], start, atol=1e-4)
+    np.testing.assert_array_equal(found["world"], solid)
+    main(
+        [
+            "run",
+            "room.npy",
+            "--resolution",
+            "0.2",
+            "--start",
+            "2",
+            "1.5",
+            "1",
+            "0.3",
+            "--overwrite",
+            *size,
+        ]
+    )
+    near = np.load(room / "out" / "arrays.npz")
+    # The run itself does not know of the datum: its height is another number in single precision.
+    np.testing.assert_allclose(found["positions"] - corner, near["positions"], atol=1e-3)
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        main(["run", "utm.npz", "--start", "500001", "4649000", "101", "0"])
+    assert "y 4649776 to 4649780" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -145,10 +193,10 @@ def test_a_warning_is_one_line(tmp_path: Path, monkeypatch, capsys) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         with pytest.raises(SystemExit):
-            main(["run", "building.stl", "--resolution", "50", "--start", "0", "0", "9000", "0"])
+            main(["run", "building.stl", "--resolution", "0.1", "--start", "0", "0", "9000", "0"])
     told = capsys.readouterr().err.splitlines()
     assert told[0].startswith("warning: volume ")
-    assert told[0].endswith("if its unit is the millimetre, file.scale=0.001")
+    assert told[0].endswith("millimetres are taken for its unit, file.scale=0.001")
     # Only the error has the name of the program before it.
     assert [line.startswith("jaxplore: ") for line in told] == [False] * (len(told) - 1) + [True]
     assert warnings.showwarning is shown_by_python

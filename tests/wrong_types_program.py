@@ -279,6 +279,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "UncertainRobot": {"physical": robot, "certainty": certainty.blank()},
         "UncertaintyAware": {"controller": aware},
         "near_starts": {"scenario": scenario, "number": 1},
+        "walking_people": {"world": jx.office(), "number": 1},
         "StabilityCost": {"limit": 0.5},
         "StateBoundsCost": {"lower": {"v": 0.0}},
         "StateNoise": {"std": [0.1] * 5},
@@ -348,6 +349,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
         "read_laser_log": {"path": str(folder / "lidar.log")},
         "read_volume": {"path": str(folder / "volume.npy")},
+        "volume_datum": {"path": str(folder / "volume.npy")},
         "volume_explorer": {"robot": quadrotor},
         "volume_informative_mppi": {"robot": quadrotor, "perception": seen, "grid": volume},
         "volume_target_explorer": {
@@ -368,6 +370,7 @@ def numbers() -> dict[str, Any]:
         "AnomalyTest.forbidden": [[0.0, 0.0, 1.0, 1.0]],
         "Contextual.goal": [1.0, 1.0],
         "ExplorationScenario.goal": [3.0, 3.0],
+        "ExplorationScenario.tracking_noise": [0.1, 0.1],
         "Faults.carried_to": [1.0, 1.0, 0.0],
         "GaussianProposal.mean": [0.0],
         "InjectedProposal.sequences": np.zeros((1, 4, 2)).tolist(),

@@ -9,7 +9,6 @@ A package is imported when one of its names is first used, so that `import jaxpl
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from jaxplore._renamed import RENAMED
 from jaxplore._version import __version__ as __version__
 
 # Python reads the table, type checkers and editors read the imports: a test compares them.
@@ -255,8 +254,6 @@ def __getattr__(name: str) -> Any:
         value = getattr(importlib.import_module(f"jaxplore.{_PACKAGE_OF[name]}"), name)
         globals()[name] = value  # found at once from now on
         return value
-    if name in RENAMED:
-        raise AttributeError(f"jaxplore.{name} is now jaxplore.{RENAMED[name]}")
     raise AttributeError(f"module 'jaxplore' has no attribute {name!r}")
 
 

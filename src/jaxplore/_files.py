@@ -90,17 +90,40 @@ def read_bytes(path: Path, what: str, limit: int, subject: str | None = None) ->
         ValueError: a file that is missing, no regular file, cannot be read or is too large.
     """
     where = printable_path(path) if subject is None else subject
-    try:
-        file = open_regular(path)
-        if file is None:
-            raise ValueError(f"{where} is not there or not a file; accepted: {what} file")
-        with file:
+    with open_limited(path, what, limit, subject) as file:
+        try:
             data = file.read(limit + 1)
-    except OSError as error:
-        raise ValueError(f"{where} cannot be read: {error_reason(error)}") from None
+        except OSError as error:
+            raise ValueError(f"{where} cannot be read: {error_reason(error)}") from None
+    # It may have grown since.
     if len(data) > limit:
         raise ValueError(f"{where} is too large; accepted: at most {limit} bytes of {what}")
     return data
+
+
+def open_limited(path: Path, what: str, limit: int, subject: str | None = None) -> BinaryIO:
+    """Open a regular file of limited size for reading.
+
+    Args:
+        path: path of the file.
+        what: expected content, for messages.
+        limit: largest file that is opened [bytes].
+        subject: what messages call the file; its path when absent.
+
+    Raises:
+        ValueError: a file that is missing, no regular file, cannot be opened or is too large.
+    """
+    where = printable_path(path) if subject is None else subject
+    try:
+        file = open_regular(path)
+    except OSError as error:
+        raise ValueError(f"{where} cannot be read: {error_reason(error)}") from None
+    if file is None:
+        raise ValueError(f"{where} is not there or not a file; accepted: {what} file")
+    if os.fstat(file.fileno()).st_size > limit:
+        file.close()
+        raise ValueError(f"{where} is too large; accepted: at most {limit} bytes of {what}")
+    return file
 
 
 def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[object, object]:

@@ -51,6 +51,10 @@ MOST_DELAY = 10_000
 """Greatest number of control periods between a command and its effect."""
 MOST_OBSTACLES = 1_000
 """Greatest number of obstacles of a sort on a path, and of corners of one."""
+MOST_PEOPLE = 200
+"""Greatest number of people who walk on a map."""
+MOST_TRACKS = 64
+"""Greatest number of moving obstacles that are tracked at a time."""
 MOST_BENDS = 200
 """Greatest number of bends of a generated track."""
 MOST_LAPS = 1_000_000

@@ -20,7 +20,12 @@ def import_optional(name: str, extra: str) -> Any:
         # If an installed package lacks one of its own modules, its error is passed on.
         if error.name is None or error.name.partition(".")[0] != name.partition(".")[0]:
             raise
-        raise ValueError(
-            f"{name.partition('.')[0]} is not installed; accepted: pip install '.[{extra}]' in a "
-            "clone of jaxplore"
-        ) from None
+        raise is_missing(name, extra) from None
+
+
+def is_missing(name: str, extra: str) -> ValueError:
+    """Return the error of an optional package that is not installed, with the command for it."""
+    return ValueError(
+        f"{name.partition('.')[0]} is not installed; accepted: pip install '.[{extra}]' in a "
+        "clone of jaxplore"
+    )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxplore import DifferentialDrive, MotionGuard
-from jaxplore.control.guard import FROZEN, GOOD
+from jaxplore.control.guard import FROZEN, GOOD, ScanPoints
 
 ROBOT = DifferentialDrive(max_speed=1.0)
 PERIOD = jnp.asarray(0.05)
@@ -49,3 +49,41 @@ def test_a_stopped_robot_moves_by_its_braking() -> None:
     braking = jnp.asarray([-1.0, 0.2])
     after = expect(after_commands(2, FROZEN), braking)
     np.testing.assert_array_equal(after.expected, step(jnp.asarray(START), braking, PERIOD))
+
+
+keep = eqx.filter_jit(
+    lambda start, control, scan, time: GUARD.keep_clear(
+        ROBOT, after_commands(0, GOOD), start, control, scan, time, PERIOD
+    )
+)
+
+
+def test_a_command_is_kept_unless_somebody_could_reach_the_robot_before_it_stands() -> None:
+    start = jnp.asarray([0.0, 0.0, 0.0, 0.8, 0.0])
+    go = jnp.asarray([0.5, 0.0])
+    radius = float(ROBOT.radius)
+    # It stands after 0.9 s, in which somebody beside it walks 1.4 m.
+    for distance, speed, age, is_kept in (
+        (radius + 2.3, 1.6, 0.0, True),
+        (radius + 1.2, 1.6, 0.0, False),
+        (radius + 2.3, 1.6, 0.7, False),
+        (radius + 1.5, 0.5, 0.0, True),
+        # What stands is a matter of the costs.
+        (radius + 0.2, 0.0, 0.0, True),
+    ):
+        scan = ScanPoints.blank(3, 10.0, can_move=True)._replace(
+            points=jnp.asarray([[9.0, 9.0], [0.0, -distance], [0.0, 0.0]]),
+            is_point=jnp.asarray([True, True, False]),
+            speeds=jnp.asarray([1.6, speed, 1.6]),
+        )
+        found = np.asarray(keep(start, go, scan, jnp.asarray(10.0 + age)))
+        assert np.array_equal(found, go) == is_kept, (distance, speed, age)
+        if not is_kept:
+            assert found[0] < -0.9
+    # Without points that may move, nothing is computed.
+    assert (
+        GUARD.keep_clear(
+            ROBOT, after_commands(0, GOOD), start, go, ScanPoints.blank(3), jnp.zeros(()), PERIOD
+        )
+        is go
+    )

@@ -148,3 +148,53 @@ def test_a_command_that_is_not_finite_is_replaced_and_other_models_brake() -> No
         assert np.isfinite(np.asarray(found.control)).all()
         after = stepped(robot, given[0], np.asarray(found.control)[0])
         assert float(robot.speed(after)) <= float(robot.speed(jnp.asarray(given[0])))
+
+
+def approached(age: float, speed: float, distances: np.ndarray):
+    """Return the check of a robot at 0.8 m/s with something ahead that may move."""
+    points = np.zeros((NUM, 12, 2), np.float32)
+    points[:, 0, 0] = distances
+    is_point = np.zeros((NUM, 12), bool)
+    is_point[:, 0] = True
+    state = np.tile(np.float32([0.0, 0.0, 0.0, 0.8, 0.0]), (NUM, 1))
+    return growing(
+        *(CHECK, ROBOT, state, np.zeros((NUM, 2), np.float32), points, is_point),
+        *(np.full((NUM, 12), speed, np.float32), np.float32(age)),
+    )
+
+
+@eqx.filter_jit
+def growing(check, robot, states, controls, points, is_point, speeds, age):
+    def one(state, control, point, is_it, fast):
+        return check(robot, state, control, PERIOD, point, is_it, fast, age)
+
+    return jax.vmap(one)(states, controls, points, is_point, speeds)
+
+
+def test_the_robot_stands_before_what_approaches_can_touch_it() -> None:
+    # It drives 0.08 m in the period of the command, and 0.32 m in the 0.8 s in which it brakes.
+    distances = np.linspace(0.5, 3.0, NUM)
+    for age, speed in ((0.0, 0.0), (0.1, 1.6), (0.3, 0.5), (0.2, 2.0)):
+        found = np.asarray(approached(age, speed, distances).is_replaced)
+        needed = 0.2 + 0.05 + 0.08 + 0.32 + speed * (age + 0.1 + 0.8)
+        # The time is rounded to steps of 0.05 s, and a little is driven within one.
+        slack = 0.05 * (0.8 + speed) + 0.01
+        assert found[distances < needed - slack].all(), (age, speed)
+        assert not found[distances > needed + slack].any(), (age, speed)
+
+
+def test_what_walks_into_a_robot_that_stands_stops_nothing() -> None:
+    state = np.zeros((NUM, 5), np.float32)
+    points = np.zeros((NUM, 12, 2), np.float32)
+    points[:, 0, 0] = 0.4 + 0.05 * np.arange(NUM)
+    is_point = np.zeros((NUM, 12), bool)
+    is_point[:, 0] = True
+    speeds, age = np.full((NUM, 12), 1.6, np.float32), np.float32(0.1)
+    stay, go = np.zeros((NUM, 2), np.float32), np.tile(np.float32([1.0, 0.0]), (NUM, 1))
+    stands = growing(CHECK, ROBOT, state, stay, points, is_point, speeds, age)
+    starts = growing(CHECK, ROBOT, state, go, points, is_point, speeds, age)
+    # Whatever is answered, the robot goes on standing.
+    np.testing.assert_allclose(np.asarray(stands.control), 0.0, atol=1e-6)
+    assert bool(starts.is_replaced[0])
+    assert not bool(starts.is_replaced[-1])
+    np.testing.assert_allclose(np.asarray(starts.control)[np.asarray(starts.is_replaced)], 0.0)

@@ -23,9 +23,11 @@ from jaxplore import (
 from jaxplore.belief import Obstacles
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.costs import (
     CollisionCost,
     ControlJerkCost,
+    OcclusionCost,
     PathCost,
     QuadraticControlCost,
     ReferenceCost,
@@ -41,6 +43,7 @@ from jaxplore.information import InformationField
 from jaxplore.maps import Ground
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
+from jaxplore.sensing.clusters import Edges
 
 pytestmark = pytest.mark.long
 
@@ -128,6 +131,7 @@ PAIRS = {
     "jerk": [ControlJerkCost(1.0), ControlJerkCost(2.0)],
     "collision": [CollisionCost(1.0, 1.0, 1.0, 1.0), CollisionCost(2.0, 3.0, 4.0, 5.0)],
     "tracked": [MovingObstacleCost(), MovingObstacleCost(nearness=2.0, collision=3.0, **OTHER)],
+    "occlusion": [OcclusionCost(), OcclusionCost(1.0, 2.0, 0.1, 0.2)],
     "terrain": [TerrainCost(), TerrainCost(1.0, 2.0)],
     "traversability": [TraversabilityCost(), TraversabilityCost(1.0, 0.9)],
     "stability": [
@@ -141,7 +145,10 @@ PAIRS = {
         3.0 * GoalCost([1.0, 2.0], None, 2.0).named("a") + ControlCost(),
     ],
 }
-READERS = ("collision", "tracked", "terrain", "traversability", "stability", "to goal", "region")
+READERS = (
+    *("collision", "tracked", "occlusion", "terrain", "traversability", "stability", "to goal"),
+    "region",
+)
 
 
 def small_belief(seed: int = 0) -> Belief:
@@ -162,6 +169,8 @@ def small_belief(seed: int = 0) -> Belief:
         discs,
         (places[:, None], places, known),
     )
+    corners = jnp.asarray([HERE, [1.0, 0.5], [0.0, 0.1]], jnp.float32)
+    edges = Edges(corners, jnp.asarray([True, True, False]))
     return Belief(
         grid=OccupancyGrid(np.zeros((6, 6)), 1.0, origin),
         clearance=ScalarField(field(), frame, jnp.zeros(())),
@@ -171,6 +180,7 @@ def small_belief(seed: int = 0) -> Belief:
         ground=Ground(rng.uniform(0.0, 0.5, (6, 6)), 1.0, origin),
         to_goal=guidance,
         obstacles=discs,
+        tracks=ObstacleTracker(2).init()._replace(edges=edges),
     )
 
 

@@ -1,5 +1,7 @@
 """Contouring, lag, progress and corridors, on every kind of model."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,8 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import MPPI, Ackermann, KinematicBicycle, Quadrotor, Rectangle, State, Unicycle
+from jaxplore.belief.belief import Belief
 from jaxplore.costs import extract
-from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost, ProgressCost
+from jaxplore.costs.path_following import (
+    ContouringCost,
+    CorridorCost,
+    LagCost,
+    ProgressCost,
+    StopCost,
+)
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.curves import line_path, path_through
@@ -26,6 +35,11 @@ NOTHING = jnp.zeros(())
 def price(cost, state: State, control=None):
     control = jnp.zeros(state.dynamics.control_size) if control is None else control
     return cost.stage(state, control, NOTHING, None)
+
+
+@eqx.filter_jit
+def stop_price(cost, state: State, belief):
+    return cost.stage(state, jnp.zeros(state.dynamics.control_size), NOTHING, belief)
 
 
 point_at = eqx.filter_jit(lambda phi: PATH.at(phi))
@@ -120,6 +134,32 @@ def test_progress_is_paid_by_the_rate_that_is_applied() -> None:
     assert price(ProgressCost(), state, jnp.asarray([1.0, 0.1, 7.0])) == -7.0
     with pytest.raises(ValueError, match="rate is 'phi_rate', no control of KinematicBicycle"):
         price(ProgressCost(), State(state.values[:-1], ROBOTS["bicycle"]))
+
+
+@given(x=st.floats(30.0, 60.0), y=st.floats(-2.0, 2.0), v=st.floats(0.0, 10.0))
+def test_a_stop_attracts_and_what_is_overrun_is_paid(x: float, y: float, v: float) -> None:
+    """On a straight line of 50 m; half of 2 m/s^2 brake in v^2 / 2 m."""
+    line = line_path([0, 0], [50, 0])
+    robot = Augmented(
+        KinematicBicycle(max_speed=15.0, max_acceleration=2.0), PathParameter(15.0, 50.0)
+    )
+    phi, yaw = min(x, 50.0), 0.3
+    state = State(jnp.asarray([x, y, yaw, v, phi], jnp.float32), robot)
+    for stop in (50.0, 40.0):
+        to_go = max(stop - phi, math.hypot(x - stop, y))
+        expected = min(to_go, 1.0) + 2.0 * max(v * v / 2.0 - to_go, 0.0)
+        expected += 2.0 * max(phi - stop, 0.0)
+        belief = None if stop == 50.0 else Belief(path_stop=jnp.asarray(stop))
+        found = float(stop_price(StopCost(line, faces=False), state, belief))
+        assert found == pytest.approx(expected, rel=2e-3, abs=2e-3)
+    facing = float(stop_price(StopCost(line), state, belief)) - found
+    assert facing == pytest.approx(0.5 * (1.0 - math.cos(yaw)), rel=1e-2, abs=1e-3)
+
+
+def test_a_closed_path_has_no_end_to_stop_at() -> None:
+    ring = path_through([(0, 0), (4, 0), (4, 4)], is_closed=True)
+    with pytest.raises(ValueError, match="path is closed; accepted: an open path"):
+        StopCost(ring)
 
 
 def test_the_objects_that_plan_measure() -> None:

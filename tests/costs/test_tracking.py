@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from jaxplore import DifferentialDrive, GoalCost, StateCost, WaypointCost
+from jaxplore import DifferentialDrive, GoalCost, State, StateCost, WaypointCost
 from jaxplore.control import rollout_costs
 from jaxplore.costs import PathCost, ReferenceCost
 
@@ -63,6 +63,19 @@ def test_the_last_state_pays_a_multiple_on_top(make, price, drone) -> None:
     assert float(make(0.0).terminal(state, None)) == 0.0
     assert float(make(7.0).terminal(state, None)) == pytest.approx(7.0 * once, rel=1e-5)
     assert price(make(7.0), state) == once
+
+
+@given(here=POINT, v=st.floats(0.0, 2.0, width=32))
+def test_a_robot_that_is_too_fast_to_stop_pays_what_it_would_overrun(here, v, price) -> None:
+    """With half of a deceleration of 0.3 m/s^2, whose braking distance is v^2 / 0.3."""
+    robot = DifferentialDrive(max_speed=2.0, max_acceleration=0.3, drag=0.0)
+    state = State(jnp.asarray([*here, 0.4, v, 0.0], jnp.float32), robot)
+    distance = math.hypot(here[0] - 1.0, here[1] + 2.0)
+    over = max(v * v / 0.3 - distance, 0.0)
+    expected = distance + 2.0 * over
+    assert price(GoalCost([1.0, -2.0]), state) == pytest.approx(expected, rel=1e-3, abs=1e-5)
+    settled = distance**2 + 4.0 * over * max(distance, 1.0)
+    assert price(WaypointCost([1.0, -2.0]), state) == pytest.approx(settled, rel=1e-3, abs=1e-5)
 
 
 # WaypointCost

@@ -145,6 +145,34 @@ def test_two_waypoints_are_a_line() -> None:
         np.testing.assert_allclose(places(path, [2.5]), [[1.5, 2.0]], atol=1e-5)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_path_turns_back_in_its_cusps(method: str) -> None:
+    """There and back, then there again: the waypoints at both ends are stops."""
+    there, back = np.array([(0, 0), (1, 0.2), (2, 0)]), np.array([(1, 0.5), (0, 0.6)])
+    points = np.concatenate([there, back, [(1, 1), (2, 1)]])
+    path = path_through(points, method=method)
+    legs = [there, np.concatenate([there[-1:], back]), points[4:]]
+    lengths = [float(path_through(each, method=method).length) for each in legs]
+    np.testing.assert_allclose(path.stops, np.cumsum(lengths)[:2], rtol=1e-5)
+    assert float(path.length) == pytest.approx(sum(lengths), rel=1e-5)
+    # The table is rounded off between the nodes beside a cusp only.
+    np.testing.assert_allclose(places(path, path.stops), points[[2, 4]], atol=0.02)
+    fine = places(path, np.linspace(0.0, float(path.length), 2000))
+    away = np.hypot(*(fine[:, None] - points).transpose(2, 0, 1)).min(axis=0)
+    assert away.max() < 0.02
+    before, after = (path.at(path.stops[0] + sign * 0.2).heading for sign in (-1.0, 1.0))
+    assert np.cos(float(before) - float(after)) < -0.5
+
+
+def test_a_tight_turn_and_a_closed_path_have_no_cusps() -> None:
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 9)
+    bend = np.concatenate(
+        [[(-2, -0.3)], 0.3 * np.stack([np.cos(turn), np.sin(turn)], -1), [(-2, 0.3)]]
+    )
+    assert path_through(bend).stops.shape == (0,)
+    assert path_through(LOOP, is_closed=True).stops.shape == (0,)
+
+
 def test_widths_are_those_at_the_waypoints() -> None:
     widths = np.stack([np.linspace(1, 2, 6), np.linspace(3, 2, 6)], -1)
     path = path_through(WAYPOINTS, half_widths=widths)

@@ -123,6 +123,27 @@ def test_near_keeps_to_the_branch_that_is_driven() -> None:
     np.testing.assert_allclose(hairpin.nearest(where, jnp.asarray(4.0)), 5.0, atol=0.2)
 
 
+def test_a_path_that_turns_back_is_searched_between_its_stops() -> None:
+    """On the way there and on the way back the nearest place is the same."""
+    there = path_through([(0, 0), (1, 0), (2, 0), (1, 0), (0, 0)])
+    stop, place = there.stops[0], jnp.asarray([1.2, 0.1])
+    before = there.nearest(place, within=(jnp.zeros(()), stop))
+    after = there.nearest(place, within=(stop, there.length))
+    assert float(before) == pytest.approx(1.2, abs=0.01)
+    assert float(after) == pytest.approx(2.8, abs=0.01)
+
+
+@pytest.mark.parametrize("stops", [[0.0], [3.0], [1.0, 1.0], [2.0, 1.0]])
+def test_stops_that_do_not_rise_within_the_path_are_refused(stops: list[float]) -> None:
+    with pytest.raises(ValueError, match=r"stops is .*; accepted: rising numbers in \(0, 3\)"):
+        Path(
+            lambda phi: np.stack([phi, 0.0 * phi], -1),
+            lambda phi: np.broadcast_to([1.0, 0.0], (phi.size, 2)),
+            3.0,
+            stops=stops,
+        )
+
+
 def test_room_is_given_to_a_path_that_came_without() -> None:
     bare = line_path([0, 0], [4, 0])
     track = bare.with_room([[1.0, 2.0], [3.0, 2.0]])

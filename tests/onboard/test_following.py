@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxplore.dynamics.goal_check import Motion
 from jaxplore.onboard import steps
-from jaxplore.onboard.following import MOST_LENGTH, NUM_NODES, path_of_points
+from jaxplore.onboard.following import MOST_LENGTH, NUM_NODES, path_of_points, pieces_of_points
 from jaxplore.onboard.options import Mode
+from jaxplore.onboard.tasks import Driver
 
 pytestmark = pytest.mark.long
 
@@ -49,18 +51,46 @@ def test_a_robot_follows_paths_one_after_the_other_and_stands_at_their_ends(
     pilot.task.take(first + place[:2])
     commands, states = follow()
     assert distance_from(first, states).max() < 0.2
-    assert np.hypot(*(states[-1][:2] - first[-1])) < 0.35
+    assert np.hypot(*(states[-1][:2] - first[-1])) < 0.25
     assert commands[-1].reason == "at the end of the path"
     assert not commands[-1].twist.any()
     before = steps.plan._cached._cache_size()
     second = dense([(2.6, 2.6), (1.4, 3.6)])
     pilot.task.take(second + place[:2])
     _, states = follow()
-    assert np.hypot(*(states[-1][:2] - second[-1])) < 0.35
+    assert np.hypot(*(states[-1][:2] - second[-1])) < 0.25
     # Another path is the same program.
     assert steps.plan._cached._cache_size() == before
     assert robot.num_contacts == 0
     assert pilot.recording().frames[-1].reference.shape[1] == 2
+
+
+def test_a_path_that_turns_back_is_followed_in_pieces() -> None:
+    """Points that recur and a last step of a millimetre make no piece of their own."""
+    there, back = dense([(0.0, 0.0), (2.0, 0.0)]), dense([(2.0, 0.0), (1.0, 0.5)])
+    jitter = back[-1] + [[0.001, -0.0005]]
+    pieces = pieces_of_points(np.concatenate([there, back, jitter]))
+    ends = [np.asarray(each.points)[[0, -1]] for each in pieces]
+    np.testing.assert_allclose(ends, [there[[0, -1]], back[[0, -1]]], atol=1e-5)
+    corner = dense([(0.0, 0.0), (2.0, 0.0), (1.0, 1.5)])
+    assert len(pieces_of_points(corner)) == 1
+
+
+def test_a_piece_begins_when_the_robot_stands_at_the_end_of_the_last(make_follower) -> None:
+    pilot = make_follower()
+    task = pilot.task
+    task.take(dense([(0.0, 0.0), (2.0, 0.0), (1.0, 0.1)]))
+    driver = Driver(pilot.controller, pilot.robot, np.asarray(pilot.scenario.start))
+
+    def waits_for(x, y, speed):
+        task.adapted(driver, np.zeros(2), np.zeros(2, np.float32))
+        return task.waits_for(np.array([x, y]), Motion(speed, 0.0))
+
+    assert waits_for(1.9, 0.0, 0.5) == waits_for(1.9, 0.0, 0.0) == ""
+    # From here on the end of the second piece counts.
+    assert waits_for(1.9, 0.0, 0.0) == waits_for(1.05, 0.1, 0.3) == ""
+    assert not task.is_done
+    assert waits_for(1.05, 0.1, 0.02) == "at the end of the path"
 
 
 def test_a_robot_stops_where_its_map_shows_a_wall_across_the_path(

@@ -295,7 +295,7 @@ def test_a_robot_that_is_told_to_return_drives_back_to_its_start(
     drive_until(lambda: pilot.finished, pilot, robot, 8.0)
     commands, states = drive(pilot, robot, 0.5)
     assert pilot.finished == "told to return; the robot is back at its start"
-    assert np.hypot(*(states[-1][:2] - 1.0)) < 0.35
+    assert np.hypot(*(states[-1][:2] - 1.0)) < 0.25
     assert not commands[-1].twist.any()
     assert robot.num_contacts == 0
     # The way out and the way back are one program.

@@ -12,6 +12,7 @@ from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters
 from jaxplore.recorder import SwitchedRecorder
 from jaxplore.ros import messages
+from jaxplore.ros.bag import read_bag
 from jaxplore.ros.bag_writer import BagWriter
 from jaxplore.ros.replay import GAP_SECONDS, replay, replay_topics
 from jaxplore.simulation.monitor import Monitor, Requests
@@ -144,6 +145,65 @@ def test_time_that_jumps_by_years_is_a_gap_of_some_seconds(
     for one, other in zip(near.commands, far.commands, strict=True):
         np.testing.assert_array_equal(one.twist, other.twist)
         assert (one.mode, one.reason) == (other.mode, other.reason)
+
+
+def transform(parent: str, child: str, now: float, x: float, y: float, yaw: float):
+    """A message with a transform, such as a driver publishes."""
+    stamped = blank(
+        child_frame_id=child,
+        transform=SimpleNamespace(translation=place().position, rotation=place().orientation),
+    )
+    messages.fill_time(stamped.header.stamp, now)
+    stamped.header.frame_id = parent
+    stamped.transform.translation.x, stamped.transform.translation.y = x, y
+    stamped.transform.rotation.z = math.sin(0.5 * yaw)
+    stamped.transform.rotation.w = math.cos(0.5 * yaw)
+    return SimpleNamespace(transforms=[stamped])
+
+
+def test_the_pose_follows_from_transforms(recorded, make_pilot, tmp_path) -> None:
+    """Of a bag without odometry: map -> odom -> base_footprint -> base_link, one of them static."""
+    folder, driven = recorded
+    with BagWriter(tmp_path / "tf", storage="mcap") as writer:
+        for each in read_bag(folder, ["/scan", "/odom"]):
+            if each.topic == "/scan":
+                writer.write("/scan", "LaserScan", each.message, each.time)
+                continue
+            measured = messages.odometry_of(each.message)
+            # The odometry has begun elsewhere, turned by a quarter.
+            x, y, yaw = measured.pose
+            own = transform("odom", "base_footprint", measured.time, y, -x, yaw - 0.5 * math.pi)
+            writer.write("/tf", "TFMessage", own, each.time)
+            odom = transform("/map", "/odom", measured.time, 0.0, 0.0, 0.5 * math.pi)
+            writer.write("/tf", "TFMessage", odom, each.time)
+        # Recorded late, as of a latched topic.
+        link = transform("base_footprint", "base_link", 0.0, 0.0, 0.0, 0.0)
+        link.transforms += transform("base_link", "camera", 0.0, 0.1, 0.0, math.nan).transforms
+        writer.write("/tf_static", "TFMessage", link, each.time)
+    assert replay_topics(tmp_path / "tf", None, None) == ("/scan", "/tf")
+    pilot = make_pilot(latency=LATENCY, is_obeyed=False)
+    found = replay(tmp_path / "tf", pilot, "/scan", "/tf")
+    assert {each.mode for each in found.commands[80:145]} == {Mode.DRIVING}
+    known, expected = (np.asarray(each.belief.grid.probability) for each in (pilot, driven))
+    is_known = (known != 0.5) & (expected != 0.5)
+    assert is_known.sum() > 0.95 * (expected != 0.5).sum()
+    assert (((known > 0.5) == (expected > 0.5))[is_known]).mean() > 0.99
+
+
+def test_a_bag_without_a_pose_is_refused_in_words(tmp_path, recorded) -> None:
+    folder, _ = recorded
+    scans = list(read_bag(folder, ["/scan"]))[:3]
+    for name, child in (("none", None), ("arm", "gripper")):
+        with BagWriter(tmp_path / name) as writer:
+            for each in scans:
+                writer.write("/scan", "LaserScan", each.message, each.time)
+                if child is not None:
+                    message = transform("base", child, each.time, 0.0, 0.0, 0.0)
+                    writer.write("/tf", "TFMessage", message, each.time)
+    with pytest.raises(ValueError, match="bag has no pose: its topics are '/scan'; accepted: a ba"):
+        replay_topics(tmp_path / "none", None, None)
+    with pytest.raises(ValueError, match="no transform places base_link or base_footprint, only g"):
+        replay(tmp_path / "arm", SimpleNamespace(), "/scan", "/tf")
 
 
 def test_topics_of_other_kinds_are_refused(recorded) -> None:

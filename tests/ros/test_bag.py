@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
+from rosbags import rosbag1
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jaxplore.ros import bag
 from jaxplore.ros.bag import bag_topics, choose_topic, read_bag
 from jaxplore.ros.bag_writer import BagWriter
-from jaxplore.ros.unpacked import check_chunks, lz4_bound, zstd_bound
+from jaxplore.ros.unpacked import check_chunks, check_records, lz4_bound, zstd_bound
 
 STORE = get_typestore(Stores.LATEST)
 TYPES = STORE.types
@@ -104,6 +105,17 @@ def path(index: int) -> Any:
     return TYPES["nav_msgs/msg/Path"](header=header(index), poses=poses)
 
 
+def transforms(index: int) -> Any:
+    vector = TYPES["geometry_msgs/msg/Vector3"](x=0.1 * index, y=-1.0, z=0.2)
+    moved = TYPES["geometry_msgs/msg/Transform"](
+        translation=vector, rotation=pose(index).orientation
+    )
+    stamped = TYPES["geometry_msgs/msg/TransformStamped"](
+        header=header(index), child_frame_id="base_link", transform=moved
+    )
+    return TYPES["tf2_msgs/msg/TFMessage"](transforms=[stamped] * index)
+
+
 MAKERS = {
     "/scan": ("LaserScan", scan),
     "/odom": ("Odometry", odometry),
@@ -111,6 +123,7 @@ MAKERS = {
     "/map": ("OccupancyGrid", grid),
     "/plan": ("Path", path),
     "/cmd_vel": ("Twist", twist),
+    "/tf": ("TFMessage", transforms),
 }
 COUNT = 4
 
@@ -201,6 +214,101 @@ def test_a_bag_of_the_package_is_read(
     assert {each.topic for each in read_bag(place, ["/odom"])} == {"/odom"}
 
 
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+ROS1.register(
+    get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+)
+
+
+def of_ros1(value: Any) -> Any:
+    """The same message as one of ROS 1, whose headers count."""
+    if isinstance(value, list):
+        return [of_ros1(each) for each in value]
+    if not dataclasses.is_dataclass(value):
+        return value
+    names = [field.name for field in dataclasses.fields(value) if field.name != "__msgtype__"]
+    fields = {name: of_ros1(getattr(value, name)) for name in names}
+    if "frame_id" in fields:
+        fields["seq"] = 7
+    return ROS1.types[value.__msgtype__](**fields)
+
+
+def write_ros1(file: Path, compression: rosbag1.Writer.CompressionFormat | None) -> Path:
+    writer = rosbag1.Writer(file)
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
+        connections = {
+            topic: writer.add_connection(topic, bag.KINDS[kind], typestore=ROS1)
+            for topic, (kind, _) in MAKERS.items()
+        }
+        for time, topic, kind, message in messages():
+            data = ROS1.serialize_ros1(of_ros1(message), bag.KINDS[kind])
+            writer.write(connections[topic], nanoseconds(time), data)
+    return file
+
+
+@pytest.mark.parametrize("compression", [None, *rosbag1.Writer.CompressionFormat])
+def test_a_bag_of_ros1_is_read(tmp_path: Path, compression: Any) -> None:
+    file = write_ros1(tmp_path / "drive.bag", compression)
+    assert {name: (topic.kind, topic.number) for name, topic in bag_topics(file).items()} == {
+        name: (kind, COUNT) for name, (kind, _) in MAKERS.items()
+    }
+    found = list(read_bag(file, list(MAKERS)))
+    expected = {(time, topic): message for time, topic, _, message in messages()}
+    assert len(found) == len(expected)
+    for time, topic, message in found:
+        name = bag.KINDS[MAKERS[topic][0]]
+        wanted = ROS1.serialize_ros1(of_ros1(expected[time, topic]), name)
+        assert ROS1.serialize_ros1(message, name) == wanted
+
+
+def test_damaged_bags_of_ros1_are_one_line(tmp_path: Path) -> None:
+    """Bytes are flipped and cut off, and numbers of bytes become huge."""
+    file, rng = tmp_path / "drive.bag", np.random.default_rng(3)
+    number = 0
+    for compression in (None, rosbag1.Writer.CompressionFormat.BZ2):
+        file.unlink(missing_ok=True)
+        data = write_ros1(file, compression).read_bytes()
+        for index in range(60):
+            some = bytearray(data)
+            for at in rng.integers(0, len(data) - 4, rng.integers(1, 8)):
+                some[at : at + 4] = rng.bytes(4) if index % 2 else b"\xff\xff\xff\x7f"
+            file.write_bytes(some[: rng.integers(len(data))] if index % 5 == 0 else some)
+            said = ""
+            try:
+                list(read_bag(file, ["/scan", "/tf"]))
+            except ValueError as error:
+                said = str(error)
+            assert "\n" not in said
+            number += bool(said)
+    assert number > 60
+
+
+def test_a_few_bytes_of_ros1_that_stand_for_many_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "drive.bag"
+    large = grid(0)
+    large.data = np.zeros(3_000_000, np.int8)
+    for compression in rosbag1.Writer.CompressionFormat:
+        file.unlink(missing_ok=True)
+        writer = rosbag1.Writer(file)
+        writer.set_compression(compression)
+        with writer:
+            added = writer.add_connection("/map", bag.KINDS["OccupancyGrid"], typestore=ROS1)
+            message = ROS1.serialize_ros1(of_ros1(large), bag.KINDS["OccupancyGrid"])
+            writer.write(added, 5, message)
+        assert file.stat().st_size < 100_000
+        check_records(file, 2**23)
+        with pytest.raises(ValueError, match="a chunk may have more than 1000000 bytes unpacked"):
+            check_records(file, 1_000_000)
+        # A chunk may say less than it holds.
+        data = file.read_bytes()
+        at = data.index(b"size=") + 5
+        file.write_bytes(data[:at] + struct.pack("<I", 10) + data[at + 4 :])
+        with pytest.raises(ValueError, match="a chunk may have more than 1000000 bytes unpacked"):
+            check_records(file, 1_000_000)
+
+
 def test_the_only_topic_of_a_kind_is_chosen_and_several_must_be_named() -> None:
     def topic(kind: str | None) -> bag.BagTopic:
         return bag.BagTopic(kind, "some/msg/Type", 3)
@@ -277,7 +385,9 @@ def test_what_is_no_bag_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     check(tmp_path / "gone", "is not there; accepted: a rosbag2 folder")
     check(tmp_path, "holds no metadata.yaml")
     (tmp_path / "drive.bag").write_text("")
-    check(tmp_path / "drive.bag", r"no \.db3 or \.mcap file")
+    check(tmp_path / "drive.bag", "it is no bag of ROS 1")
+    (tmp_path / "drive.txt").write_text("")
+    check(tmp_path / "drive.txt", r"no \.db3 or \.mcap file")
     with BagWriter(tmp_path / "empty"):
         pass
     check(tmp_path / "empty", "holds no messages; accepted: a bag with messages")

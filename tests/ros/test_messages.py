@@ -14,6 +14,7 @@ from jaxplore.ros import map_messages, messages
 from jaxplore.ros.drive_publisher import rollout_colours
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.lidar_errors import LidarErrors
 
 SENSOR = Lidar(num_beams=36, max_range=5.0)
 FINITE = st.floats(-1e4, 1e4)
@@ -41,6 +42,7 @@ def scan_message(ranges, **fields):
         "angle_increment": 2.0 * math.pi / max(len(ranges), 1),
         "range_min": 0.1,
         "range_max": 30.0,
+        "time_increment": 0.0,
     }
     return SimpleNamespace(header=header, ranges=ranges, **{**given, **fields})
 
@@ -168,6 +170,39 @@ def test_a_scan_of_ours_goes_there_and_back_to_the_bit() -> None:
     found = messages.laser_scan_of(message, SENSOR)
     np.testing.assert_array_equal(found.scan.is_return, is_return)
     np.testing.assert_array_equal(found.scan.ranges, ranges)
+
+
+def test_a_beam_without_a_measurement_is_no_free_space() -> None:
+    message, number = Plain(), SENSOR.num_beams
+    ranges = np.where(np.arange(number) % 2 == 0, 0.0, 5.0).astype(np.float32)
+    scan = Scan(ranges, np.zeros(number, bool))
+    messages.fill_laser_scan(message, scan, SENSOR, 7.0, "laser", period=0.1)
+    found = messages.laser_scan_of(message, SENSOR)
+    np.testing.assert_array_equal(found.scan.ranges, ranges)
+    assert not np.asarray(found.scan.is_return).any()
+
+
+def test_a_tilted_lidar_does_not_take_the_floor_for_a_wall() -> None:
+    tilted = Lidar(36, 5.0, height=0.2, errors=LidarErrors(pitch=0.1))
+    found = messages.laser_scan_of(scan_message([2.5] * 360), tilted)
+    angles = tilted.beam_angles.astype(np.float64)
+    # Straight ahead it meets the floor at 0.2 m / sin 0.1 = 2.003 m.
+    is_floor = 2.5 * np.sin(0.1) * np.cos(angles) >= 0.9 * 0.2
+    assert 5 < is_floor.sum() < 18
+    np.testing.assert_array_equal(np.asarray(found.scan.is_return), ~is_floor)
+    np.testing.assert_array_equal(np.asarray(found.scan.ranges)[is_floor], 0.0)
+    assert found.points[:, 0].max() < 0.9 * 0.2 / np.sin(0.1) + 1e-6
+
+
+def test_the_times_of_readings_are_those_of_the_message() -> None:
+    message = scan_message([2.0] * 360)
+    assert messages.laser_scan_of(message, SENSOR).sweep is None
+    message.time_increment = 0.1 / 360
+    sweep = messages.laser_scan_of(message, SENSOR, Mount(0.1, 0.0, 0.5)).sweep
+    angles = 0.5 + message.angle_min + message.angle_increment * np.arange(360)
+    np.testing.assert_allclose(sweep.times(angles), 0.1 * np.arange(360) / 360, atol=1e-6)
+    message.time_increment = 1.0
+    assert messages.laser_scan_of(message, SENSOR).sweep is None
 
 
 @pytest.mark.parametrize(

@@ -13,16 +13,18 @@ from tests.kinds import AHEAD, HALL, HALL_CHUNK, HALL_GOAL, WALKER, Script, hall
 from jaxplore import DifferentialDrive, ExplorationScenario, OccupancyGrid
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.gain import Gain
+from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.simulation.exploration.finish import default_give_up_after
+from jaxplore.simulation.exploration.finish import Knowledge, default_give_up_after
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import _initial_task, copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import Run, record_run, simulate
 
 pytestmark = pytest.mark.long
 
+PASSING = 10.0  # a speed at which the robot may pass by its goal [m/s]
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
 ONE = jnp.asarray(1, jnp.int32)  # as record_run counts: a weak type would be another program
 
@@ -314,8 +316,14 @@ def test_a_run_without_rollouts_is_the_same_and_does_not_look_into_the_controlle
 @pytest.mark.parametrize("is_there", [False, True])
 @pytest.mark.parametrize("is_known", [False, True])
 @pytest.mark.parametrize("is_covered", [False, True])
-def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> None:
-    scenario = hall(goal_radius=0.5, max_unknown=0.25, target_coverage=0.75)
+@pytest.mark.parametrize(
+    ("speed", "turn_rate", "idle"),
+    [(0.0, 0.0, 0.0), (0.19, -0.39, 2.9), (0.21, 0.0, 0.0), (0.0, 0.41, 0.0), (0.0, 0.0, 3.1)],
+)
+def test_the_end_is_the_goal_and_a_known_map(
+    is_there, is_known, is_covered, speed, turn_rate, idle
+) -> None:
+    scenario = hall(goal_radius=0.5, max_unknown=0.25, target_coverage=0.75, goal_speed=0.2)
     # Half a metre away is not within half a metre, a quarter is not less than a quarter; the target
     # coverage itself is enough.
     robot = WALKER.at_pose(2.0 + (0.01 if is_there else 0.0), 1.5, 0.0)
@@ -331,9 +339,14 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
     state = ExplorationState(
         *(robot, None, None, progress, Gain(progress.coverage, nothing), jnp.zeros((), int)),
         *(jnp.zeros(0, bool), None, jnp.zeros(0)),
+        motion=Motion(jnp.asarray(speed), jnp.asarray(turn_rate)),
+        known=Knowledge(jnp.asarray(idle), nothing),
     )
     found = bool(scenario.is_finished(state))
-    assert found == (is_there and (is_known or is_covered))
+    # 0.4 rad/s move what is half a metre away by 0.2 m/s.
+    is_still = speed <= 0.2 and abs(turn_rate) <= 0.4
+    # A robot that has learnt all that it can goes home as well.
+    assert found == (is_there and is_still and (is_known or is_covered or idle >= 3.0))
     aimless = hall(goal=None, target_coverage=0.75)
     assert bool(aimless.is_finished(state)) == is_covered
 
@@ -390,22 +403,24 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
 
 
 def test_a_known_hall_ends_where_the_goal_begins_and_hovering_is_extra() -> None:
-    recording = drive(hall(goal_radius=0.3))
+    recording = drive(hall(goal_radius=0.3, goal_speed=PASSING))
     distance = np.hypot(*(recording.positions[1:] - np.float32(HALL_GOAL)).T)
     last = int(np.argmax(distance < 0.3))
     assert 10 < last < 59
     assert recording.num_steps == recording.finished_step == last + 1
     assert recording.initial_unknown == 0.0
     np.testing.assert_allclose(recording.goal, HALL_GOAL)
-    hovering = drive(hall(goal_radius=0.3, hover_time=0.7))
+    hovering = drive(hall(goal_radius=0.3, goal_speed=PASSING, hover_time=0.7))
     assert hovering.num_steps == last + 1 + 14
     assert hovering.finished_step == last + 1
     np.testing.assert_array_equal(hovering.records.state[: last + 1], recording.records.state)
     # A run that is cut off while it hovers was finished all the same.
-    cut = drive(hall(goal_radius=0.3, hover_time=0.7), last + 1 + 5)
+    cut = drive(hall(goal_radius=0.3, goal_speed=PASSING, hover_time=0.7), last + 1 + 5)
     assert (cut.num_steps, cut.finished_step) == (last + 1 + 5, last + 1)
-    short = drive(hall(goal_radius=0.3), last)
+    short = drive(hall(goal_radius=0.3, goal_speed=PASSING), last)
     assert (short.num_steps, short.finished_step) == (last, None)
+    # A robot that must stand there only passes by.
+    assert drive(hall(goal_radius=0.3)).finished_step is None
 
 
 def test_the_end_waits_for_the_map_and_the_map_for_the_goal() -> None:
@@ -418,13 +433,14 @@ def test_the_end_waits_for_the_map_and_the_map_for_the_goal() -> None:
     for most, radius in ((0.7, 1.5), (0.6, 1.5), (0.6, 0.6), (0.95, 1.0)):
         is_over = (distance < radius) & (unknown < most)
         expected = int(np.argmax(is_over)) + 1 if is_over.any() else None
-        found = drive(hall(None, max_unknown=most, goal_radius=radius, target_coverage=1.0))
+        ends = {"max_unknown": most, "goal_radius": radius, "goal_speed": PASSING}
+        found = drive(hall(None, target_coverage=1.0, **ends))
         assert found.finished_step == expected
         assert found.num_steps == (60 if expected is None else expected)
 
 
 def test_at_the_goal_with_all_known_one_step_is_the_run() -> None:
-    recording = drive(hall(start=(2.5, 1.5, 0.0)))
+    recording = drive(hall(start=(2.5, 1.5, 0.0), goal_speed=PASSING))
     assert (recording.num_steps, recording.finished_step) == (1, 1)
 
 

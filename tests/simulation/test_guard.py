@@ -91,7 +91,7 @@ def scenario(
         LIDAR,
         (0.6, 1.5, 0.0),
         perception=perception,
-        target_coverage=None,
+        target="never",
         faults=Faults(**NO_WALLS) if faults is None else faults,
         control_rate=20.0,
         sensing_rate=10.0,

@@ -186,7 +186,7 @@ def test_an_open_path_ends_where_it_ends_and_standing_obstacles_are_passed() -> 
     line = jx.geometry.line_path([0, 0], [6, 0], half_widths=[1.0, 1.0])
     following = mpcc(line, other=AROUND)
     post = jx.geometry.Outlines.polygons([[[2.8, -0.2], [3.2, -0.2], [3.2, 0.1], [2.8, 0.1]]])
-    scenario = jx.PathScenario(following.model, line, standing=post, finish=0.3)
+    scenario = jx.PathScenario(following.model, line, standing=post)
     run = jx.simulate(
         following.controller, scenario, 1000, key=jax.random.key(2), num_trajectories=0
     )
@@ -195,7 +195,31 @@ def test_an_open_path_ends_where_it_ends_and_standing_obstacles_are_passed() -> 
     assert metrics.lap_times == []
     assert metrics.collisions == 0
     assert metrics.minimum_gap < 1.0
-    assert float(run.recording.progress[-1]) >= 5.7
+    # It stands at the end.
+    x, y, _, v, *_ = run.recording.records.state[-1]
+    assert np.hypot(x - 6.0, y) <= 0.15
+    assert abs(v) <= 0.06
+
+
+@pytest.mark.parametrize("reverses", [True, False])
+def test_a_cusp_is_a_place_to_stand_before_the_path_goes_on(reverses: bool) -> None:
+    """A car drives on backwards, and a robot that only drives forwards turns."""
+    path = jx.path_through([(0, 0), (1, 0), (2, 0), (3, 0), (2, 0.6), (1, 1.2)])
+    stop = float(path.stops[0])
+    robot = jx.Ackermann(min_speed=-1.0, max_speed=1.5) if reverses else jx.DifferentialDrive()
+    following = jx.mpcc(robot, path, num_samples=128)
+    scenario = jx.PathScenario(following.model, path, control_rate=20.0)
+    run = jx.simulate(
+        following.controller, scenario, 800, key=jax.random.key(0), num_trajectories=0
+    )
+    assert run.metrics.is_finished
+    states, progress = run.recording.records.state, run.recording.progress
+    after = int(np.argmax(progress > stop + 1e-3)) - 1
+    away = np.hypot(*(states[:after, :2] - [3.0, 0.0]).T)
+    assert away.min() <= 0.15
+    assert np.abs(states[:after, 3])[away <= 0.15].min() <= 0.05
+    assert np.hypot(*(states[-1, :2] - [1.0, 1.2])) <= 0.15
+    assert (states[after:, 3].min() < -0.3) == reverses
 
 
 def test_a_controller_that_diverges_stands_and_says_so(lap) -> None:

@@ -386,7 +386,7 @@ def test_a_goal_apart_is_reached_when_the_robot_is_there() -> None:
         scenario(goal=goal), scenario(goal=goal, perception=apart),
         scenario(goal=goal, perception=apart, goal_radius=0.7, max_unknown=0.3),
     )]  # fmt: skip
-    np.testing.assert_allclose(numbers, [(1.5, 0.05), (0.25, 1.0), (0.7, 0.3)], rtol=1e-6)
+    np.testing.assert_allclose(numbers, [(0.15, 0.05), (0.15, 1.0), (0.7, 0.3)], rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["rooms", "cave", "hall"])

@@ -12,6 +12,8 @@ from jaxplore.belief.obstacles import Obstacles as Obstacles
 from jaxplore.belief.perception import Perception as Perception
 from jaxplore.belief.recognition import ObjectClasses as ObjectClasses
 from jaxplore.belief.recognition import Recognition as Recognition
+from jaxplore.belief.tracks import ObstacleTracker as ObstacleTracker
+from jaxplore.belief.tracks import Tracks as Tracks
 from jaxplore.belief.volume import VolumePerception as VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief as VolumeBelief
 from jaxplore.belief.volume_strategic import VolumeStrategicBelief as VolumeStrategicBelief

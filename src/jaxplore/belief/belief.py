@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore._types import Flag, GridValues, Pose, Scalar
+from jaxplore._types import Flag, GridValues, Pose, Position, Scalar
 from jaxplore.belief.anomalies import Anomalies
 from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.gain import Gain
@@ -14,6 +14,7 @@ from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.recognition import ObjectClasses
 from jaxplore.belief.timed_reference import TimedReference
+from jaxplore.belief.tracks import Tracks
 from jaxplore.information.field import InformationField
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.field import ScalarField
@@ -50,6 +51,11 @@ class Belief(eqx.Module):
         ground: terrain, known in advance; level and traversable when absent.
         to_goal: cost to go to the goal [m] through cells that are not known to be occupied, and
             the direction to it; absent if no cost needs it.
+        goal: position (x, y) of the goal at which the robot shall come to rest [m]; none when
+            absent.
+        goal_heading: heading at the goal [rad]; any when absent.
+        path_stop: arc length of the next point of a path at which the robot shall stand [m]; the
+            end of an open path when absent.
         obstacles: known moving obstacles; none when absent.
         idleness: (H, W) time since each cell was last seen [s], infinite if never; absent without
             an idleness map.
@@ -64,6 +70,7 @@ class Belief(eqx.Module):
             robots claim it [m]; absent for a robot without a fleet.
         gain: when the known share of the map last rose; absent if the robot knows its pose, or must
             see places again, as on a patrol.
+        tracks: tracks of what moves, from which `obstacles` follow; absent without a tracker.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -85,6 +92,10 @@ class Belief(eqx.Module):
     revisit: Float[Array, "rows columns"] | None = None
     claims: Float[Array, "rows columns"] | None = None
     gain: Gain | None = None
+    tracks: Tracks | None = None
+    goal: Position | None = None
+    goal_heading: Scalar | None = None
+    path_stop: Scalar | None = None
 
     @property
     def pull(self) -> ScalarField:
@@ -153,6 +164,7 @@ def part(belief: Any, name: str) -> Any:
 _MAP = "the belief of a Perception"
 _SOURCES = {
     "obstacles": "Belief(obstacles=...), or obstacles given to the cost",
+    "tracks": "the belief of a Perception with a tracker",
     "to_goal": "the belief of a Perception with a goal apart",
     **dict.fromkeys(
         ("certainty", "position_variance"), "the belief of a scenario with a localisation"

@@ -1,5 +1,7 @@
 """Compute the cost-to-go to remaining information."""
 
+from typing import Any
+
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
@@ -110,6 +112,18 @@ def leads_to_goal(field: GuidanceField, position: Position) -> Flag:
     # map the cost is `outside`, which says nothing about the sources.
     cost = field(position)
     return (cost > 0.5 * GOAL_DETOUR) & (cost < field.outside)
+
+
+def leads_to_information(cost: Any) -> Any:
+    """Return whether a cost-to-go leads to a place with at least `min_information`.
+
+    If it does not, a robot has nothing left to learn: the places with little information, and the
+    goal, have a detour of their own, and without any place the cost is infinite or `outside`.
+
+    Args:
+        cost: cost-to-go of an exploration field at the robot, a number or an array [m].
+    """
+    return cost < 0.5 * LEFTOVER_DETOUR
 
 
 def _with_goal(source: Array, roads: Roadmap, goal: Position, is_explored: Flag) -> Array:

@@ -42,6 +42,7 @@ class BeliefFields(eqx.Module):
     patience: Scalar
     memory: Scalar
     goal: Position | None
+    goal_heading: Scalar | None
     max_unknown: Scalar
     ground: Ground | None
     watch: IdlenessMap | None

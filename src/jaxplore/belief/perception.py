@@ -29,6 +29,7 @@ from jaxplore.belief.perception_checks import (
 from jaxplore.belief.recognition import Recognition
 from jaxplore.belief.roadmap import ROOMY, TurnsOnTheSpot
 from jaxplore.belief.standing import freed_below
+from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps.clearance import clearance_field, closed_cells, update_clearance
 from jaxplore.maps.field import ScalarField
@@ -92,6 +93,7 @@ class Perception(BeliefFields):
         patience: time near a place after which its weight has decayed to 1/e [s].
         memory: time constant with which `dwell` is forgotten [s].
         goal: position (x, y) to which the robot goes in the end [m]; no goal by default.
+        goal_heading: heading at the goal [rad]; any when absent.
         max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map counts as explored;
             used only with a goal.
         ground: ground of the map's cells; level and traversable by default.
@@ -107,15 +109,18 @@ class Perception(BeliefFields):
             look takes below `min_information` counts as one where it has stayed for twice
             `patience` more. Not so with a watch, anomalies or a recognition, for which places must
             be seen again.
+        tracker: what finds and tracks moving obstacles in the scans; without it they are mapped
+            like all else.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
             goal; `anomalies` without a watch, with a ground, or with a first sensor that is no
-            lidar.
+            lidar; a tracker with a ground, whose hills return beams like what moves.
     """
 
     resolution: float = eqx.field(static=True)
     gives_up: bool = eqx.field(static=True)
+    tracker: ObstacleTracker | None
 
     def __init__(
         self,
@@ -134,6 +139,7 @@ class Perception(BeliefFields):
         patience: ArrayLike = 3.0,
         memory: ArrayLike = 60.0,
         goal: Vector | None = None,
+        goal_heading: ArrayLike | None = None,
         max_unknown: ArrayLike = MAX_UNKNOWN,
         ground: Ground | None = None,
         watch: IdlenessMap | None = None,
@@ -143,6 +149,7 @@ class Perception(BeliefFields):
         anomalies: AnomalyTest | None = None,
         recognition: Recognition | None = None,
         is_localising: bool = False,
+        tracker: ObstacleTracker | None = None,
     ) -> None:
         _kinds.flag("is_localising", is_localising)
         _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
@@ -187,6 +194,9 @@ class Perception(BeliefFields):
         self.patience = _checks.scalar("patience", patience, above=0.0)
         self.memory = _checks.scalar("memory", memory, above=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
+        self.goal_heading = (
+            None if goal_heading is None else _checks.scalar("goal_heading", goal_heading)
+        )
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
         self.ground, self.watch, self.recognition = ground, watch, recognition
         self.anomalies = checked_test(anomalies, self.sensors[0], ground, watch)
@@ -195,6 +205,10 @@ class Perception(BeliefFields):
             raise ValueError("goal is None; accepted: a position, for a goal apart")
         self.is_goal_apart = is_goal_apart
         self.is_batched = False
+        _kinds.instance("tracker", tracker, ObstacleTracker, may_be_none=True)
+        if tracker is not None and ground is not None:
+            raise ValueError("tracker is given beside a ground; accepted: one of them")
+        self.tracker = tracker
         # What must be seen again is not given up.
         is_revisiting = any(each is not None for each in (watch, anomalies, recognition))
         self.gives_up = is_localising and not is_revisiting
@@ -227,6 +241,7 @@ class Perception(BeliefFields):
         dwell = jnp.zeros_like(information.total)
         nothing = jnp.zeros(())
         guidance, is_explored = self._guided(grid, clearance, information, dwell, pose)
+        tracks = None if self.tracker is None else self.tracker.init()
         return Belief(
             grid,
             clearance,
@@ -238,10 +253,13 @@ class Perception(BeliefFields):
             pose,
             self.ground,
             self._to_goal(grid, pose),
-            None,
+            None if self.tracker is None or tracks is None else self.tracker.obstacles(tracks),
             idleness,
             anomalies,
             gain=Gain(nothing, nothing) if self.gives_up else None,
+            tracks=tracks,
+            goal=self.goal,
+            goal_heading=self.goal_heading,
         )
 
     def standing(self, grid: OccupancyGrid, pose: Pose) -> OccupancyGrid:
@@ -293,7 +311,8 @@ class Perception(BeliefFields):
         Clearances are updated around the robot only, where scans can change the map (`window`).
         Those of a belief with another map must be computed anew (`init`).
 
-        With a test for anomalies, the first scan is tested as well.
+        With a test for anomalies, the first scan is tested as well. With a tracker, the scans
+        update the tracks, and returns of what moves are not mapped.
 
         Args:
             belief: belief before the scans.
@@ -313,6 +332,7 @@ class Perception(BeliefFields):
         if time is not None:
             _checks.shaped("time", time, ())
         scans = as_scans(scans, len(self.sensors))
+        belief, scans = self._track(belief, scans, pose, elapsed, time)
         grid, idleness, anomalies = belief.grid, belief.idleness, belief.anomalies
         # Only the first sensor observes cells for search and patrol.
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
@@ -334,6 +354,32 @@ class Perception(BeliefFields):
         return dataclasses.replace(
             belief, grid=grid, clearance=clearance, idleness=idleness, anomalies=anomalies
         )
+
+    def _track(
+        self,
+        belief: Belief,
+        scans: tuple[Scan, ...],
+        pose: Pose,
+        elapsed: ArrayLike,
+        time: ArrayLike | None,
+    ) -> tuple[Belief, tuple[Scan, ...]]:
+        """Update the tracks; return the scans without returns of what moves."""
+        tracker, tracks = self.tracker, belief.tracks
+        if tracker is None or tracks is None:
+            return belief, scans
+        # Scans may have been missing since the last one.
+        passed = jnp.asarray(elapsed if time is None else time - tracks.time, jnp.float32)
+        kept, edges = [], None
+        for sensor, scan in zip(self.sensors, scans, strict=True):
+            args = (sensor, scan, belief.clearance, pose, passed)
+            tracks, is_moving = tracker.update(tracks, *args)
+            kept.append(scan._replace(is_return=scan.is_return & ~is_moving))
+            edges = tracks.edges if edges is None else edges
+            passed = jnp.zeros(())
+        assert edges is not None
+        tracks = tracks._replace(edges=edges)
+        known = tracker.obstacles(tracks)
+        return dataclasses.replace(belief, tracks=tracks, obstacles=known), tuple(kept)
 
     def window(self, grid: OccupancyGrid, pose: Pose) -> Window:
         """Return the part of the map that scans from a pose may change.

@@ -9,8 +9,9 @@ from jaxplore.build.fleet import cost_of_others, has_others
 from jaxplore.build.localisation import uncertain_robot
 from jaxplore.build.own import own_controller, own_rule
 from jaxplore.build.parts import build_robot
-from jaxplore.build.world import RunWorld
+from jaxplore.build.world import RunWorld, expects_people
 from jaxplore.control.base import Controller
+from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.integrators import Euler
 from jaxplore.geometry.chassis import Chassis
@@ -54,7 +55,8 @@ def build_controller(
     """
     robot, perception = scenario.robot, scenario.perception
     moving: dict[str, Any] = {
-        "has_moving_obstacles": bool(world.movers) or has_others(settings),
+        "has_moving_obstacles": _has_moving(settings, world),
+        "occlusion_cost": _occlusion_cost(settings, world),
         "moving_obstacle_cost": cost_of_others(settings),
     }
     if settings.architecture == "explorer":
@@ -87,6 +89,19 @@ def build_controller(
     if is_own(settings.architecture):
         return own_controller(settings.architecture, scenario)
     return _quadrotor_controller(settings, robot, world, perception)
+
+
+def _has_moving(settings: Settings, world: RunWorld) -> bool:
+    return bool(world.movers) or has_others(settings) or expects_people(settings, world)
+
+
+def _occlusion_cost(settings: Settings, world: RunWorld) -> OcclusionCost | None:
+    """Return the cost of places that can hide somebody, where people are expected."""
+    if not expects_people(settings, world):
+        return None
+    robot = settings.robot
+    brakes = robot.max_acceleration if robot.max_deceleration is None else robot.max_deceleration
+    return OcclusionCost(settings.people.max_speed, brakes)
 
 
 def _quadrotor_controller(
@@ -155,7 +170,8 @@ def _portfolio(settings: Settings, world: RunWorld, chassis: Chassis | None) -> 
         Mission(
             goal,
             has_terrain=world.ground is not None,
-            has_moving_obstacles=bool(world.movers) or has_others(settings),
+            has_moving_obstacles=_has_moving(settings, world),
+            occlusion_cost=_occlusion_cost(settings, world),
             chassis=chassis,
         ),
         members=given.members if given.weights is None else given.weights,

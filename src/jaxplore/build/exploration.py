@@ -8,6 +8,7 @@ from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.car import car_motion
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
+from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.build.controllers import build_controller
 from jaxplore.build.fleet import build_fleet
 from jaxplore.build.localisation import build_localisation
@@ -22,7 +23,7 @@ from jaxplore.build.parts import (
     with_adaptive_horizon,
     with_latency,
 )
-from jaxplore.build.world import RunWorld, build_world, is_ros_map
+from jaxplore.build.world import RunWorld, build_world, expects_people, is_ros_map
 from jaxplore.control.base import Controller
 from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
@@ -121,6 +122,7 @@ def _perception(
     goal = None if world.goal is None else world.goal[:2]
     watch, test = settings.watch, settings.anomalies
     # When absent, the default of `Perception` applies, not that of the scenario.
+    tracker = ObstacleTracker(**arguments(settings.people, ObstacleTracker))
     unknown: dict[str, Any] = (
         {} if settings.max_unknown is None else {"max_unknown": settings.max_unknown}
     )
@@ -130,6 +132,7 @@ def _perception(
         robot.radius,
         sensor_model=build_sensor_model(settings.sensor_model),
         goal=goal,
+        goal_heading=None if goal is None else settings.goal_heading,
         ground=world.ground,
         watch=None if watch is None else IdlenessMap(**arguments(watch, IdlenessMap)),
         anomalies=(
@@ -142,6 +145,7 @@ def _perception(
         is_goal_apart=settings.architecture == "portfolio" and goal is not None,
         car=car_motion(robot),
         is_localising=settings.localisation is not None,
+        tracker=tracker if expects_people(settings, world) else None,
         **arguments(settings.fields, Perception),
         **unknown,
     )

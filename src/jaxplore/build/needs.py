@@ -33,7 +33,7 @@ from jaxplore.belief.perception_checks import safe_stride
 from jaxplore.belief.rolling_map import BLOCK
 from jaxplore.belief.volume import COARSE
 from jaxplore.belief.volume_lattice import NODE
-from jaxplore.build.volume import volume_shape
+from jaxplore.build.volume import volume_size
 from jaxplore.build.world import ENOUGH, is_ros_map
 from jaxplore.maps.files.ros import map_size
 from jaxplore.maps.padding import padded_shape
@@ -63,6 +63,8 @@ _MOST_CONTROLS = 6
 """Number of controls of a model of the user's own."""
 _BANK = 128.0
 """Memory of a bank of noise by the samples: 16 numbers for each, and a copy."""
+_READING = 0.5
+"""Share of the memory that reading a file may take."""
 _MEMBERS = 4
 """Members of a portfolio whose members are not named."""
 
@@ -97,15 +99,18 @@ class MapSize(NamedTuple):
     pixels: float = 0.0
 
 
-def needs(settings: RunSettings, node: NodeSettings | None = None) -> tuple[Part, ...]:
+def needs(
+    settings: RunSettings, node: NodeSettings | None = None, *, limit: float = math.inf
+) -> tuple[Part, ...]:
     """Return what a run needs, part by part.
 
     Args:
         settings: checked settings.
         node: those of a drive, whose robot makes a map of its own; None for a simulation.
+        limit: greatest memory [bytes], half of which reading a file may take.
 
     Raises:
-        ValueError: a map or a world that cannot be read.
+        ValueError: a map, a world or a volume that cannot be read, or not within the memory.
     """
     if isinstance(settings, Settings):
         parts = _exploration(settings, node)
@@ -117,7 +122,7 @@ def needs(settings: RunSettings, node: NodeSettings | None = None) -> tuple[Part
             *_heard(settings, number),
         )
     if isinstance(settings, VolumeSettings):
-        return (_programs(), *_volume(settings))
+        return (_programs(), *_volume(settings, limit))
     assert isinstance(settings, PathSettings)
     return (_programs(), *_following(settings))
 
@@ -256,10 +261,10 @@ def _following(settings: PathSettings) -> Iterator[Part]:
     yield _record("time_limit, control_rate", settings.time_limit * settings.control_rate)
 
 
-def _volume(settings: VolumeSettings) -> Iterator[Part]:
-    # A file is read to find its size, and so are its voxels.
-    depth, height, width = volume_shape(settings)
-    voxels, side = float(depth) * height * width, settings.resolution
+def _volume(settings: VolumeSettings, limit: float) -> Iterator[Part]:
+    # What a reader finds is held by this process too.
+    (depth, height, width), side = volume_size(settings, _READING * limit)
+    voxels = float(depth) * height * width
     # Of those outside a window the true world is held, and what is stored of the map.
     share = 1.0
     for extent, size in zip(

@@ -11,6 +11,8 @@ from jaxplore.build.localisation import build_localisation
 from jaxplore.build.own import own_rule
 from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
 from jaxplore.build.world import RunWorld
+from jaxplore.costs.base import Cost
+from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -58,6 +60,9 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
         )
     elif given.get("localisation") is None:
         given["localisation"] = {}
+    people = given.get("people", {})
+    if isinstance(people, dict) and people.get("are_expected") is None:
+        given["people"] = {**people, "are_expected": True}
     # The office stands in for the map: a robot finds its own.
     # The guard is that of a simulated robot: a pilot has its own checks.
     settings = make_exploration_settings({**given, "map": OFFICE, "guard": False})
@@ -166,9 +171,10 @@ def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation 
 def _following(settings: Settings, node: NodeSettings, robot: Dynamics) -> PathFollowing:
     """Build the contouring control of a robot that keeps clear of what its own map shows."""
     given = settings.controller
-    avoidance = _checks.scalar("obstacle_weight", given.obstacle_weight) * ObstacleCost(
-        given.clearance
-    )
+    near: Cost = ObstacleCost(given.clearance)
+    if settings.people.are_expected:
+        near = near + MovingObstacleCost()
+    avoidance = _checks.scalar("obstacle_weight", given.obstacle_weight) * near
     numbers = arguments(node.contouring, mpcc)
     if not isinstance(robot, ContinuousDynamics):
         numbers["comfort_weight"] = None

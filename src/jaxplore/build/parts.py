@@ -32,6 +32,7 @@ from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.detector import Detector
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
+from jaxplore.sensing.lidar_errors import LidarErrors
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import DetectorSettings, Settings
 from jaxplore.settings.own import is_own
@@ -232,7 +233,10 @@ def build_sensors(settings: Settings) -> tuple[Sensor, ...]:
     given, camera = settings.lidar, settings.camera
     view = math.radians(given.field_of_view_degrees)
     # `arguments` returns angles in degrees, as settings have them.
-    lidar = Lidar(**{**arguments(given, Lidar), "field_of_view": view})
+    tilt = {name: math.radians(getattr(given, f"{name}_degrees")) for name in ("pitch", "roll")}
+    numbers = {**arguments(given, LidarErrors), **tilt}
+    errors = LidarErrors(**numbers) if any(numbers.values()) else None
+    lidar = Lidar(**{**arguments(given, Lidar), "field_of_view": view}, errors=errors)
     if camera is None:
         return (lidar,)
     views = {

@@ -21,7 +21,8 @@ from jaxplore.build.parts import (
 )
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.quadrotor import Quadrotor
-from jaxplore.maps.files.volume_file import read_volume
+from jaxplore.maps.datum import ORIGIN, Datum
+from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, read_volume
 from jaxplore.maps.generators.volumes import START, generate_volume
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
@@ -54,7 +55,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         ValueError: a file that cannot be read, a start that is not possible, or settings that a
             part rejects.
     """
-    world = build_world(settings)
+    world, datum = build_world(settings)
     robot = Quadrotor(**arguments(settings.robot, Quadrotor))
     sensors = build_sensors(settings)
     perception = VolumePerception(
@@ -68,9 +69,10 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         world,
         robot,
         sensors,
-        _start(settings, world, robot),
+        _start(settings, world, robot, datum),
         perception=perception,
-        faults=build_faults(settings.faults),
+        faults=build_faults(settings.faults, datum),
+        datum=datum,
         **arguments(settings, VolumeScenario),
         **arguments(settings.rates, VolumeScenario),
     ).varied(build_variation(settings.variation))
@@ -84,8 +86,8 @@ def build_volume(settings: VolumeSettings) -> Experiment:
     )
 
 
-def build_world(settings: VolumeSettings) -> VoxelGrid:
-    """Build the true world of a run.
+def build_world(settings: VolumeSettings) -> tuple[VoxelGrid, Datum]:
+    """Build the true world of a run, and return it with the datum to which it is relative.
 
     Raises:
         ValueError: a file that cannot be read.
@@ -93,22 +95,52 @@ def build_world(settings: VolumeSettings) -> VoxelGrid:
     kind = GENERATED.get(settings.volume)
     if kind is None:
         # A file is read for the estimate of the memory, for the start, and for the run: once.
-        given = tuple(arguments(settings.file, read_volume).items())
-        return _read(settings.volume, settings.resolution, given, _stamp(settings.volume))
-    return generate_volume(
+        return _made(*_key(settings))
+    world = generate_volume(
         kind,
         size=_generated_size(settings),
         **arguments(settings.generated, generate_volume),
         **arguments(settings, generate_volume),
     )
+    return world, ORIGIN
+
+
+type _Key = tuple[str, float, tuple[tuple[str, Any], ...], tuple[int, int, int]]
+"""Name, resolution and settings of a file, and what changes with it."""
+
+
+def _key(settings: VolumeSettings) -> _Key:
+    given = tuple(arguments(settings.file, read_volume).items())
+    return settings.volume, settings.resolution, given, _stamp(settings.volume)
+
+
+_opened: dict[_Key, VolumeFile] = {}
+"""The last file that was read, until its voxels are made."""
+
+
+def _open(key: _Key, memory: float = MEMORY) -> VolumeFile:
+    """Read a file, or return the last one."""
+    if key not in _opened:
+        _opened.clear()
+        name, resolution, given, _ = key
+        _opened[key] = open_volume(name, resolution=resolution, memory=memory, **dict(given))
+    return _opened[key]
 
 
 @functools.lru_cache(maxsize=1)
-def _read(
-    name: str, resolution: float, given: tuple[tuple[str, Any], ...], stamp: tuple[int, int, int]
-) -> VoxelGrid:
-    """Read a volume, or return the last one: `stamp` changes with the file."""
-    return read_volume(name, resolution=resolution, **dict(given))
+def _made(*key: Any) -> tuple[VoxelGrid, Datum]:
+    """Make the voxels of a file, or return the last ones."""
+    opened = _open(key)
+    datum = opened.datum
+    _opened.clear()
+    return opened.grid(datum), datum
+
+
+@functools.lru_cache(maxsize=1)
+def _size(memory: float, *key: Any) -> tuple[tuple[int, int, int], float]:
+    """Return the voxels along z, y and x of a file, and their side [m]."""
+    opened = _open(key, memory)
+    return opened.shape, opened.resolution
 
 
 def _stamp(name: str) -> tuple[int, int, int]:
@@ -120,18 +152,26 @@ def _stamp(name: str) -> tuple[int, int, int]:
     return status.st_mtime_ns, status.st_size, status.st_ino
 
 
-def volume_shape(settings: VolumeSettings) -> tuple[int, int, int]:
-    """Return the numbers of voxels of a run's volume along z, y and x; a file is read for them.
+def volume_size(
+    settings: VolumeSettings, memory: float = MEMORY
+) -> tuple[tuple[int, int, int], float]:
+    """Return the numbers of voxels of a run's volume along z, y and x, and their side [m].
+
+    A file is read for them, and no voxels are made.
+
+    Args:
+        settings: settings of the run.
+        memory: memory that reading a file may take [bytes].
 
     Raises:
-        ValueError: a file that cannot be read.
+        ValueError: a file that cannot be read, or not within the memory.
     """
     if settings.volume not in GENERATED:
-        return build_world(settings).shape
+        return _size(min(memory, MEMORY), *_key(settings))
     width, height, depth = (
         max(3, round(each / settings.resolution)) for each in _generated_size(settings)
     )
-    return depth, height, width
+    return (depth, height, width), settings.resolution
 
 
 def _generated_size(settings: VolumeSettings) -> tuple[float, float, float]:
@@ -209,15 +249,16 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
 
 
 def _start(
-    settings: VolumeSettings, world: VoxelGrid, robot: Quadrotor
+    settings: VolumeSettings, world: VoxelGrid, robot: Quadrotor, datum: Datum
 ) -> tuple[float, float, float, float]:
-    """Return the start (x, y, z, yaw) of a run [m, m, m, rad].
+    """Return the start (x, y, z, yaw) of a run, relative to a datum [m, m, m, rad].
 
     Raises:
         ValueError: a volume without a place for the robot.
     """
     if settings.start is not None:
-        return settings.start
+        x, y, z, yaw = datum.to_local(settings.start).tolist()
+        return x, y, z, yaw
     if settings.volume in GENERATED:
         return (*START, _YAW)
     room = room_around(~np.asarray(world.is_free)) * world.resolution
@@ -250,4 +291,6 @@ def with_start(entries: dict[str, Any]) -> dict[str, Any]:
     if settings.start is not None or settings.volume in GENERATED:
         return entries
     robot = Quadrotor(**arguments(settings.robot, Quadrotor))
-    return {**entries, "start": _start(settings, build_world(settings), robot)}
+    world, datum = build_world(settings)
+    start = datum.shown(_start(settings, world, robot, datum))
+    return {**entries, "start": tuple(start.tolist())}

@@ -5,6 +5,7 @@ from typing import NamedTuple
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.generators.office import office, start_pose
+from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.relative import relative_world
@@ -65,6 +66,21 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
         ValueError: a map, world or height map that cannot be read; a start that is not given, on a
             map without a place for the robot.
     """
+    world, given = _still_world(settings, radius), settings.people
+    if not given.number:
+        return world
+    people = walking_people(
+        world.grid,
+        given.number,
+        speed=given.speed,
+        radius=given.radius,
+        seed=settings.seed if given.seed is None else given.seed,
+    )
+    return world._replace(movers=(*world.movers, *people))
+
+
+def _still_world(settings: Settings, radius: float) -> RunWorld:
+    """Build the world of a run without the people who walk in it."""
     if is_ros_map(settings):
         return _on_map(settings, radius)
     # Beside a `world`, the map is only a name.
@@ -77,6 +93,16 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
     if settings.map == ZONES:
         return _in_world(three_zones(), settings)
     return _in_world(World.from_yaml(settings.map), settings)
+
+
+def expects_people(settings: Settings, world: RunWorld) -> bool:
+    """Check whether the robot looks out for people: see `PeopleSettings`.
+
+    A robot of a fleet, or on a known ground, is told of what moves.
+    """
+    given = settings.people.are_expected
+    expected = bool(world.movers) if given is None else given
+    return expected and settings.fleet is None and world.ground is None
 
 
 def is_ros_map(settings: Settings) -> bool:

@@ -65,7 +65,7 @@ def check_memory(
 
     for settings in runs:
         try:
-            parts = needs(settings, node)
+            parts = needs(settings, node, limit=limit)
         except ValueError:
             if must_be_readable:
                 raise

@@ -76,7 +76,7 @@ def replay_options(command: Any) -> Any:
             "--pose",
             "pose_topic",
             metavar="TOPIC",
-            help="Topic of the pose.  [default: the only odometry, else the only pose]",
+            help="Topic of the pose.  [default: the only odometry, else the only pose, else /tf]",
         ),
     )
     for option in reversed((*topics, *_drive_options("runs/drive"))):

@@ -32,6 +32,8 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),
     ("--beams", "lidar.num_beams", int, "Number of lidar beams."),
     ("--range", "lidar.max_range", float, "Range of the lidar [m]."),
+    ("--people", "people.number", int, "Number of people who walk on the map."),
+    ("--people-speed", "people.speed", float, "Speed of these people [m/s]."),
     ("--robots", "fleet.robots", int, "Number of robots of a fleet."),
     ("--radio-range", "fleet.radio_range", float, "Range of the radio of a fleet's robots [m]."),
     (

@@ -53,6 +53,7 @@ class ScanPoints(NamedTuple):
         misfit: share of the returns that contradict the map, see `plausibility.scan_misfit`.
         time: time of the scan [s]; infinite where the robot has no scans.
         interval: time between two scans [s].
+        speeds: (P,) speeds with which points may move [m/s]; None where nothing does.
     """
 
     points: Float[Array, "P 2"]
@@ -60,12 +61,15 @@ class ScanPoints(NamedTuple):
     misfit: Scalar
     time: Scalar
     interval: Scalar
+    speeds: Float[Array, " P"] | None = None
 
     @classmethod
-    def blank(cls, number: int, time: float = math.inf) -> "ScanPoints":
+    def blank(cls, number: int, time: float = math.inf, *, can_move: bool = False) -> "ScanPoints":
         """Return `number` points that do not count, of a scan at a time; of none when absent."""
         nothing, at = jnp.zeros(()), jnp.asarray(time, jnp.float32)
-        return cls(jnp.zeros((number, 2)), jnp.zeros(number, bool), nothing, at, nothing)
+        speeds = jnp.zeros(number) if can_move else None
+        is_point = jnp.zeros(number, bool)
+        return cls(jnp.zeros((number, 2)), is_point, nothing, at, nothing, speeds)
 
 
 class GuardState(NamedTuple):
@@ -250,6 +254,41 @@ class MotionGuard(eqx.Module):
         is_due = (age <= self.delay(state, known)) & (age > known)
         durations = jnp.where(is_due, period, 0.0)
         return predicted_state(robot, state.expected, state.commands, durations, period)
+
+    def keep_clear(
+        self,
+        robot: Dynamics,
+        state: GuardState,
+        start: StateVector,
+        control: ControlVector,
+        scan: ScanPoints,
+        time: Scalar,
+        period: Scalar,
+    ) -> ControlVector:
+        """Return the command (nu,), or the one that brakes, where something that moves could reach
+        the robot before it stands.
+
+        Args:
+            robot: model of the robot.
+            state: the guard's state.
+            start: (nx,) state in which the command takes effect.
+            control: (nu,) the command; one that is not finite stays.
+            scan: the newest scan.
+            time: present time [s].
+            period: control period [s].
+        """
+        if scan.speeds is None:
+            return control
+        number = self.delay(state, jnp.zeros((), jnp.int32)).astype(jnp.float32)
+        age = time - scan.time + number * period
+        is_point = scan.is_point & (scan.speeds > 0.0)
+        args = (robot, start, control, period, scan.points, is_point, scan.speeds, age)
+        # As for braking: a loop of one iteration or none.
+        is_needed = is_point.any() & jnp.isfinite(control).all()
+        kept: ControlVector = jax.lax.fori_loop(
+            0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args).control, control
+        )
+        return kept
 
     def sent(self, robot: Dynamics, state: GuardState, control: ControlVector) -> GuardState:
         """Note a command that was sent; NaN where the robot was told to brake."""

@@ -12,6 +12,8 @@ from jaxplore._types import ArrayLike, ControlVector, Flag, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.collision import discs_clearance
 
+AT_REST = 1e-4
+"""Greatest change of the pose of a robot at rest within a step [m, rad]."""
 FAR = 1e3
 """Distance to which points are moved that do not count [m]."""
 ROUNDING = 2e-5
@@ -40,6 +42,10 @@ class StopCheck(eqx.Module):
     (passive safety). If it is not safe, it is replaced by the beginning of the braking trajectory
     that keeps the greatest distance, of `num_turns` that steer to either side. A robot that is
     within the margin already may move if it gets no closer.
+
+    A point that may move with a speed s is a disc that grows until the robot stands, because it may
+    go anywhere: after the time t since it was measured it has the radius s t. So the robot is at
+    rest before anything that it has seen, and that is no faster, can touch it.
 
     Points at which the robot was when it began, such as reflections from its own body, must be left
     out by the caller.
@@ -86,6 +92,8 @@ class StopCheck(eqx.Module):
         duration: Scalar,
         points: Float[Array, "P 2"],
         is_point: Bool[Array, " P"],
+        speeds: Float[Array, " P"] | None = None,
+        age: Scalar | None = None,
     ) -> Validated:
         """Check a command.
 
@@ -96,41 +104,50 @@ class StopCheck(eqx.Module):
             duration: time until the next command takes effect [s].
             points: (P, 2) measured points [m].
             is_point: (P,) points that count.
+            speeds: (P,) speeds with which they may move [m/s]; 0 when absent.
+            age: time from their measurement to the state [s]; 0 when absent.
         """
         # Shapes are static, so points that do not count are moved far away.
         kept = jnp.where(is_point[:, None], points, FAR + robot.position(state))
-        radii = jnp.zeros(kept.shape[0])
+        still = jnp.zeros(kept.shape[0])
+        began = jnp.zeros(()) if age is None else age
 
-        def gap(at: StateVector) -> Scalar:
+        def gap(at: StateVector, time: Scalar) -> Scalar:
+            radii = still if speeds is None else speeds * time
             return discs_clearance(
                 kept, radii, robot.position(at), robot.heading(at), robot.footprint
             )
 
-        def braking(start: StateVector, turn: Scalar) -> Scalar:
+        def braking(start: StateVector, turn: Scalar, time: Scalar) -> Scalar:
             """Return the least gap of the robot while it brakes."""
 
             def step(
-                carry: tuple[StateVector, Scalar], _: None
-            ) -> tuple[tuple[StateVector, Scalar], None]:
-                at, least = carry
-                at = robot.step(
+                carry: tuple[StateVector, Scalar, Scalar], _: None
+            ) -> tuple[tuple[StateVector, Scalar, Scalar], None]:
+                at, least, time = carry
+                after = robot.step(
                     at, robot.stopping_control(at, self.time_step, turn), self.time_step
                 )
-                return (at, jnp.minimum(least, gap(at))), None
+                # Who touches a robot that stands does so by himself.
+                is_moving = jnp.any(jnp.abs(robot.pose(after) - robot.pose(at)) > AT_REST)
+                time = jnp.where(is_moving, time + self.time_step, time)
+                return (after, jnp.minimum(least, gap(after, time)), time), None
 
-            (_, least), _ = jax.lax.scan(step, (start, gap(start)), None, length=self.num_steps)
+            carry = (start, gap(start, time), time)
+            (_, least, _), _ = jax.lax.scan(step, carry, None, length=self.num_steps)
             return least
 
         # In the middle of a long command the robot may be closer than at its end.
         half = robot.step(state, control, 0.5 * duration)
         after = robot.step(half, control, 0.5 * duration)
-        here = gap(state)
-        planned = jnp.minimum(gap(half), braking(after, jnp.zeros(())))
+        here = gap(state, began)
+        braked = braking(after, jnp.zeros(()), began + duration)
+        planned = jnp.minimum(gap(half, began + 0.5 * duration), braked)
         # A robot within the margin may move if it gets no closer, but for rounding. With more it
         # would creep on in each control period.
         is_safe = planned >= jnp.minimum(self.margin, here - ROUNDING)
         turns = jnp.linspace(-1.0, 1.0, self.num_turns) if self.num_turns > 1 else jnp.zeros(1)
-        gaps = jax.vmap(lambda turn: braking(state, turn))(turns)
+        gaps = jax.vmap(lambda turn: braking(state, turn, began))(turns)
         # Of equal ones the straightest: distances are rounded to a millimetre for that.
         best = jnp.argmax(jnp.round(gaps, 3) - 1e-4 * jnp.abs(turns))
         stopping = robot.stopping_control(state, duration, turns[best])

@@ -25,11 +25,13 @@ from jaxplore.costs.localisation import UncertaintyCost as UncertaintyCost
 from jaxplore.costs.moving import MovingObstacleCost as MovingObstacleCost
 from jaxplore.costs.obstacles import DiscObstacleCost as DiscObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost
+from jaxplore.costs.occlusion import OcclusionCost as OcclusionCost
 from jaxplore.costs.path_following import ContouringCost as ContouringCost
 from jaxplore.costs.path_following import CorridorCost as CorridorCost
 from jaxplore.costs.path_following import LagCost as LagCost
 from jaxplore.costs.path_following import PathErrorCost as PathErrorCost
 from jaxplore.costs.path_following import ProgressCost as ProgressCost
+from jaxplore.costs.path_following import StopCost as StopCost
 from jaxplore.costs.terrain import StabilityCost as StabilityCost
 from jaxplore.costs.terrain import TerrainCost as TerrainCost
 from jaxplore.costs.terrain import TraversabilityCost as TraversabilityCost

@@ -7,6 +7,7 @@ Morari, "Optimization-based autonomous racing of 1:43 scale RC cars", OCAM 2015.
 phi is a state with a control of its own. `ContouringCost` keeps the robot close to the path,
 `LagCost` keeps the point at phi close to the robot, and `ProgressCost` moves that point forward.
 Without the lag the point would run ahead, and the error would be measured at the wrong place.
+`StopCost` brings the robot to rest at the end of the path and in its cusps.
 
 The same objects evaluate a finished trajectory: see `errors`.
 """
@@ -22,15 +23,23 @@ from jaxtyping import Array, Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.costs import extract
+from jaxplore.costs._arrival import OVERRUN, overrun
 from jaxplore.costs._contact import levers, shifted
+from jaxplore.costs._distance import offset
 from jaxplore.costs.base import Cost
 from jaxplore.costs.extract import Extractor
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import Dynamics, State
 from jaxplore.dynamics.path_parameter import PathParameter
+from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.path import Path, PathErrors, errors_at
+from jaxplore.geometry.vectors import length
 
 PHI = extract.component("phi")
+NEAR = 1.0
+"""Distance from a stop below which it attracts the robot [m]."""
+FACING = 0.5
+"""Half the cost of facing away from the path, for a robot that does not drive backwards [m]."""
 
 
 class PathErrorCost(Cost):
@@ -133,6 +142,51 @@ class ProgressCost(Cost):
                 f"{', '.join(names)}"
             )
         return -control[names.index(self.rate)]
+
+
+class StopCost(Cost):
+    """Cost of not coming to rest where a path has a stop: at its end, and in its cusps [m].
+
+        min(d, 1 m) + 2 max(s - d, 0) + 2 max(phi - stop, 0)
+
+    d is the distance to the next stop, the greater one of the straight line and of the way of phi,
+    and s the distance in which the robot comes to rest with half of its deceleration. So the robot
+    brakes in time, also where its braking distance is longer than the horizon. The next stop is
+    `Belief.path_stop`, or the end of the path.
+
+    A robot that shall turn after a cusp, `faces`, also pays 0.5 m (1 - cos) of its angle to the
+    path.
+
+    Args:
+        path: path to follow, an open one.
+        faces: whether the robot turns to the path, and does not drive backwards along it; static.
+
+    Raises:
+        ValueError: a closed path.
+    """
+
+    path: Path
+    faces: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self) -> None:
+        _kinds.instance("path", self.path, Path)
+        _kinds.flag("faces", self.faces)
+        if self.path.is_closed:
+            raise ValueError("path is closed; accepted: an open path, which has an end")
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Compute the cost of the distance, of what is overrun, and of what is skipped."""
+        given = getattr(belief, "path_stop", None)
+        stop = self.path.length if given is None else given
+        phi = PHI(state)
+        away = length(*offset(state, self.path.at(stop).position))
+        to_go = jnp.maximum(stop - phi, away)
+        beyond = overrun(state, to_go) + jnp.maximum(phi - stop, 0.0)
+        total = jnp.minimum(to_go, NEAR) + OVERRUN * beyond
+        if not self.faces:
+            return total
+        point, (sin, cos) = self.path.at(phi), sin_cos(state.heading)
+        return total + FACING * (1.0 - (cos * point.cos + sin * point.sin))
 
 
 class CorridorCost(Cost):

@@ -22,12 +22,16 @@ from jaxtyping import Float
 from jaxplore import _checks, _kinds
 from jaxplore._checks import array, by_name, names_within
 from jaxplore._types import ArrayLike, ControlVector, Rows, Scalar, Vector
+from jaxplore.costs._arrival import overrun, with_overrun
 from jaxplore.costs._distance import offset
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import length, squared_length
+
+OVERRUN_PRICE = 4.0
+"""Cost of each metre by which a robot would overrun a waypoint, per metre of distance [1/m]."""
 
 
 class ErrorCost(Cost):
@@ -54,6 +58,9 @@ class GoalCost(ErrorCost):
     The gradient does not grow with the distance, so a goal far away does not dominate the other
     costs, as a squared distance would. With a saturation the gradient falls but never vanishes:
     the cost is d near the goal and tends to s far from it. To settle at a pose, use `WaypointCost`.
+
+    d is the distance plus twice that by which the robot would overrun the goal if it braked with
+    half of its deceleration (`Dynamics.deceleration`): a robot too fast to stop is not near.
 
     Args:
         goal: (2,) or (3,) goal position [m]; the third component is compared with `state["z"]`.
@@ -83,7 +90,7 @@ class GoalCost(ErrorCost):
 
     def _error(self, state: State) -> Scalar:
         """Compute the distance, with the saturation if there is one [m]."""
-        distance = length(*offset(state, self.goal))
+        distance = with_overrun(state, length(*offset(state, self.goal)))
         if self.saturation is None:
             return distance
         return distance * (self.saturation / (self.saturation + distance))
@@ -97,6 +104,8 @@ class WaypointCost(ErrorCost):
     The heading counts only near the waypoint, so a robot far away may face where it drives. The
     cost is smooth everywhere and its gradient vanishes at the waypoint, so the robot settles there.
     Far away the squared distance dominates other costs: to approach from afar, use `GoalCost`.
+    A robot that is too fast to stop also pays `4 e max(d, 1 m)`, with e the distance by which it
+    would overrun the waypoint if it braked with half of its deceleration.
 
     Args:
         waypoint: (2,) or (3,) position of the waypoint [m]; the third component is compared with
@@ -138,9 +147,11 @@ class WaypointCost(ErrorCost):
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
 
     def _error(self, state: State) -> Scalar:
-        square = squared_length(*offset(state, self.waypoint))
+        away = length(*offset(state, self.waypoint))
+        square = away * away
+        braking = OVERRUN_PRICE * overrun(state, away) * jnp.maximum(away, 1.0)
         if self.heading is None:
-            return square
+            return square + braking
         nearness = jnp.exp(square * (-1.0 / (self.decay * self.decay)))
         # 1 - cos is smooth and does not jump where angles wrap.
         error = state.heading - self.heading
@@ -148,7 +159,7 @@ class WaypointCost(ErrorCost):
             turned = 0.25 * (1.0 - sin_cos(2.0 * error)[1])
         else:
             turned = 1.0 - sin_cos(error)[1]
-        return square + self.heading_weight * nearness * turned
+        return square + braking + self.heading_weight * nearness * turned
 
 
 class ReferenceCost(Cost):

@@ -166,6 +166,11 @@ class Ackermann(ContinuousDynamics):
         state, control, dt = self.checked_step(state, control, dt)
         return super().step(state, self._within_limits(state, control, dt), dt)
 
+    @property
+    def deceleration(self) -> Scalar:
+        """Deceleration with which the robot can be brought to rest [m/s^2]."""
+        return self.control_max[0] if self.limits is None else self.limits.braking
+
     def stopping_control(
         self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
     ) -> ControlVector:

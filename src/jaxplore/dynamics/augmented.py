@@ -127,6 +127,11 @@ class Augmented(Dynamics):
         return self.physical.turning_radius
 
     @property
+    def deceleration(self) -> Scalar:
+        """Deceleration of the physical model [m/s^2]."""
+        return self.physical.deceleration
+
+    @property
     def can_reverse(self) -> bool:
         """Whether the physical model can drive backwards."""
         return self.physical.can_reverse

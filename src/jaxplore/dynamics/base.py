@@ -17,6 +17,11 @@ from jaxplore.dynamics.integrators import Derivative, Integrator
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.footprint import Disc, Footprint
 
+BRAKED_SPEED, BRAKED_TIME = 0.1, 1e-3
+"""Speed [m/s] and time [s] at which the deceleration of a model is measured."""
+LEAST_DECELERATION = 1e-3
+"""Deceleration below which a model does not brake [m/s^2]."""
+
 
 class Dynamics(eqx.Module):
     """Discrete-time model of a robot, `state' = step(state, control, dt)`; abstract.
@@ -172,6 +177,22 @@ class Dynamics(eqx.Module):
                 positive turns counter-clockwise. 0 brings the turn rate to zero.
         """
         return self.default_control
+
+    @property
+    def deceleration(self) -> Scalar:
+        """Deceleration with which the robot can be brought to rest along its heading [m/s^2].
+
+        From a speed v it needs v^2 / (2 deceleration) [m]. It is infinite for a robot whose speed
+        is a control, and for one that `stopping_control` does not brake. By default it is what
+        `stopping_control` brings about at a low speed v.
+        """
+        if "v" not in self.state_names:
+            return jnp.full((), jnp.inf)
+        speed, dt = jnp.asarray(BRAKED_SPEED, jnp.float32), jnp.asarray(BRAKED_TIME, jnp.float32)
+        state = self.with_component(self.at_pose(0.0, 0.0, 0.0), "v", speed)
+        slower = self.step(state, self.stopping_control(state, dt), dt)
+        found = (speed - self.component(slower, "v")) / dt
+        return jnp.where(found > LEAST_DECELERATION, found, jnp.inf)
 
     def component(self, state: StateVector, name: str) -> Scalar:
         """Return the state component with a name.
@@ -339,6 +360,19 @@ class State(eqx.Module):
         if self.control is None:
             return self.dynamics.speed(self.values)
         return self.dynamics.speed_under(self.values, self.control)
+
+    @property
+    def squared_speed(self) -> Scalar:
+        """Square of the speed in any direction on the ground [m^2/s^2]."""
+        if {"vx", "vy"} <= set(self.dynamics.state_names):
+            vx, vy = self["vx"], self["vy"]
+            return vx * vx + vy * vy
+        return self.speed * self.speed
+
+    @property
+    def stopping_distance(self) -> Scalar:
+        """Distance in which the robot comes to rest [m]: v^2 / (2 `deceleration`)."""
+        return self.squared_speed / (2.0 * self.dynamics.deceleration)
 
     def __getitem__(self, name: str) -> Scalar:
         return self.dynamics.component(self.values, name)

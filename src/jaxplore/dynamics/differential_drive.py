@@ -102,6 +102,11 @@ class DifferentialDrive(ContinuousDynamics):
             ]
         )
 
+    @property
+    def deceleration(self) -> Scalar:
+        """Deceleration with which the robot can be brought to rest [m/s^2]."""
+        return -self.control_min[0]
+
     def stopping_control(
         self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
     ) -> ControlVector:

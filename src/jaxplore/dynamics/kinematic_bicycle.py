@@ -133,6 +133,11 @@ class KinematicBicycle(ContinuousDynamics):
         x, y, yaw, v = state
         return jnp.stack([x, y, yaw, jnp.clip(v, self.min_speed, self.max_speed)])
 
+    @property
+    def deceleration(self) -> Scalar:
+        """Deceleration with which the robot can be brought to rest [m/s^2]."""
+        return -self.control_min[0]
+
     def stopping_control(
         self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
     ) -> ControlVector:

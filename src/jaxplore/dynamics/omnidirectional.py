@@ -137,6 +137,11 @@ class Omnidirectional(ContinuousDynamics):
         """Return the norm of the velocity [m/s]: to the side counts as much as forwards."""
         return length(self.component(state, "vx"), self.component(state, "vy"))
 
+    @property
+    def deceleration(self) -> Scalar:
+        """Deceleration with which the robot can be brought to rest, in any direction [m/s^2]."""
+        return self.control_max[0] if self.limits is None else self.limits.braking
+
     def stopping_control(
         self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
     ) -> ControlVector:

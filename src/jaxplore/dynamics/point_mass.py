@@ -110,6 +110,11 @@ class PointMass(ContinuousDynamics):
         """Return the norm of the velocity in all dimensions [m/s]."""
         return length(*tuple(state)[self.dimensions :])
 
+    @property
+    def deceleration(self) -> Scalar:
+        """Deceleration with which the mass can be brought to rest in any direction [m/s^2]."""
+        return jnp.min(self.control_max)
+
     def stopping_control(
         self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
     ) -> ControlVector:

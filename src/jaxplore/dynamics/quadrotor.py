@@ -150,6 +150,15 @@ class Quadrotor(ContinuousDynamics):
             ]
         )
 
+    @property
+    def deceleration(self) -> Scalar:
+        """Deceleration with which the quadrotor can be brought to rest [m/s^2].
+
+        It is a quarter of gravity, with the time that it takes to tilt: below the 0.8 gravity of
+        `stopping_control`.
+        """
+        return 0.25 * self.gravity
+
     def stopping_control(
         self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
     ) -> ControlVector:

@@ -3,16 +3,18 @@
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import Rows, Vector
-from jaxplore.geometry.path import Path, count_nodes
+from jaxplore.geometry.path import MOST_NODES, Path, count_nodes
 
 METHODS = ("cubic", "monotone", "akima")
+CUSP_SPACING = 0.05
+"""Greatest distance between the nodes of a path with cusps [m]."""
 BOUNDARIES = ("not-a-knot", "natural", "clamped")
 
 Function = Callable[[np.ndarray], np.ndarray]
@@ -168,7 +170,8 @@ def path_through(
     """Return a smooth path through waypoints, parameterised by its true arc length.
 
     x and y are splines over the accumulated chord length (SciPy). The arc length is integrated and
-    inverted numerically.
+    inverted numerically. Where an open path turns by more than 135 degrees at a waypoint, it has a
+    cusp: two splines meet there, and the waypoint is one of `Path.stops`.
 
     | method | between waypoints |
     | --- | --- |
@@ -197,6 +200,53 @@ def path_through(
         raise ValueError(f"method is {method!r}; accepted: {', '.join(METHODS)}")
     if boundary not in BOUNDARIES:
         raise ValueError(f"boundary is {boundary!r}; accepted: {', '.join(BOUNDARIES)}")
+    ends = np.concatenate([[0], [] if is_closed else cusps(knots), [len(knots) - 1]]).astype(int)
+    curves = [
+        _curve(knots[first : last + 1], method, boundary, is_closed)
+        for first, last in itertools.pairwise(ends.tolist())
+    ]
+    curve = _joined(curves) if len(curves) > 1 else curves[0]
+    count = count_nodes(curve.length, curve.curvature)
+    stops = np.cumsum([each.length for each in curves])[:-1]
+    if stops.size:
+        # Between the nodes beside a cusp the table is rounded off.
+        count = min(max(count, 1 + math.ceil(curve.length / CUSP_SPACING)), MOST_NODES)
+    return Path(
+        curve.position,
+        curve.direction,
+        curve.length,
+        is_closed=is_closed,
+        num_nodes=count,
+        half_widths=_widths_along(half_widths, knots, is_closed, curve, count),
+        stops=stops,
+    )
+
+
+def cusps(points: np.ndarray) -> np.ndarray:
+    """Return the indices of the points (M, 2) at which a line turns back: by more than 135 degrees.
+
+    Args:
+        points: corners of the line, no two of which in a row are equal [m].
+    """
+    steps = np.diff(points, axis=0)
+    steps = steps / np.hypot(*steps.T)[:, None]
+    return np.flatnonzero((steps[1:] * steps[:-1]).sum(axis=1) < -math.sqrt(0.5)) + 1
+
+
+class _Curve(NamedTuple):
+    """A curve by its arc length, its length, the curvature at many points, the chord length at an
+    arc length, and that at the waypoints."""
+
+    position: Function
+    direction: Function
+    length: float
+    curvature: np.ndarray
+    parameter: Function
+    at: np.ndarray
+
+
+def _curve(knots: np.ndarray, method: str, boundary: str, is_closed: bool) -> _Curve:
+    """Return the spline through waypoints."""
     chords = np.hypot(*np.diff(knots, axis=0).T)
     at = np.concatenate([[0.0], np.cumsum(chords)])
     spline, slope, second = _spline(at, knots, method, boundary, is_closed)
@@ -235,14 +285,32 @@ def path_through(
     first, bend = slope(fine), second(fine)
     size = np.maximum(np.hypot(*first.T), 1e-3)
     curvature = (first[:, 0] * bend[:, 1] - first[:, 1] * bend[:, 0]) / size**3
-    count = count_nodes(total, curvature)
-    return Path(
-        lambda phi: spline(parameter(phi)),
-        direction,
-        total,
-        is_closed=is_closed,
-        num_nodes=count,
-        half_widths=_widths_along(half_widths, knots, is_closed, at, parameter, total, count),
+    return _Curve(lambda phi: spline(parameter(phi)), direction, total, curvature, parameter, at)
+
+
+def _joined(curves: list[_Curve]) -> _Curve:
+    """Return curves one after the other."""
+    starts = np.concatenate([[0.0], np.cumsum([each.length for each in curves])])
+    chords = np.concatenate([[0.0], np.cumsum([each.at[-1] for each in curves])])
+
+    def pieces(phi: np.ndarray, values: Callable[[_Curve, np.ndarray, int], np.ndarray]) -> Any:
+        index = np.clip(np.searchsorted(starts, phi, side="right") - 1, 0, len(curves) - 1)
+        parts = [
+            values(each, np.clip(phi - starts[i], 0.0, each.length), i)
+            for i, each in enumerate(curves)
+        ]
+        shape = (-1,) + (1,) * (parts[0].ndim - 1)
+        return np.choose(index.reshape(shape), parts)
+
+    return _Curve(
+        lambda phi: pieces(phi, lambda each, own, _: each.position(own)),
+        lambda phi: pieces(phi, lambda each, own, _: each.direction(own)),
+        float(starts[-1]),
+        np.concatenate([each.curvature for each in curves]),
+        lambda phi: pieces(phi, lambda each, own, i: each.parameter(own) + chords[i]),
+        np.concatenate(
+            [curves[0].at, *(e.at[1:] + c for e, c in zip(curves[1:], chords[1:-1], strict=True))]
+        ),
     )
 
 
@@ -296,9 +364,7 @@ def _widths_along(
     half_widths: Rows | None,
     knots: np.ndarray,
     is_closed: bool,
-    at: np.ndarray,
-    parameter: Function,
-    total: float,
+    curve: _Curve,
     count: int,
 ) -> Rows | None:
     """Interpolate the half widths of the waypoints at `count` equally spaced arc lengths."""
@@ -318,8 +384,8 @@ def _widths_along(
         value = float(given[~(given > 0.0)][0])
         raise ValueError(f"half_widths has a value {value}; accepted: positive numbers [m]")
     rows = np.concatenate([given, given[:1]]) if is_closed else given
-    values = parameter(np.linspace(0.0, total, count))
-    return np.stack([np.interp(values, at, side) for side in rows.T], -1)
+    values = curve.parameter(np.linspace(0.0, curve.length, count))
+    return np.stack([np.interp(values, curve.at, side) for side in rows.T], -1)
 
 
 NODES, WEIGHTS = leggauss(8)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Position, Rows, Scalar
+from jaxplore._types import Position, Rows, Scalar, Vector
 
 NODES_PER_RADIUS = 10.0
 """Nodes per smallest radius of curvature, which keeps the interpolation error below 1e-6 radii."""
@@ -75,6 +75,9 @@ class Path(eqx.Module):
     An open path is extended by straight lines before its start and after its end. A closed path
     repeats: after two laps phi is twice the length, so that progress never jumps.
 
+    Where a path turns back on itself, in a cusp, a robot must stop before it drives on in the other
+    direction: `stops` are the arc lengths of these points.
+
     Build it with `path_through`, `line_path`, `arc_path`, `clothoid_path` or `read_path`; this
     constructor takes any function of the arc length.
 
@@ -86,11 +89,12 @@ class Path(eqx.Module):
         num_nodes: number of nodes in the table; static.
         half_widths: free width to the left and to the right of the path [m]: two numbers, or (M, 2)
             at equal distances from start to end. The path is unbounded by default.
+        stops: arc lengths of the cusps of an open path, in order [m].
 
     Raises:
         ValueError: a length that is not positive, points that are not finite or beyond 32 km (see
-            `jaxplore.maps.Datum`), a closed path whose ends differ, half widths that are not
-            positive.
+            `jaxplore.maps.Datum`), a closed path whose ends differ or with stops, stops that do not
+            rise, half widths that are not positive.
     """
 
     points: Float[Array, "N 2"]
@@ -99,6 +103,8 @@ class Path(eqx.Module):
     """Unit tangents of the path at the nodes."""
     half_widths: Float[Array, "N 2"]
     """Free width to the left and to the right at the nodes [m]; infinite where it is unbounded."""
+    stops: Float[Array, " S"]
+    """Arc lengths of the cusps [m]."""
     length: Scalar
     is_closed: bool = eqx.field(static=True)
 
@@ -111,6 +117,7 @@ class Path(eqx.Module):
         is_closed: bool = False,
         num_nodes: int = 257,
         half_widths: Rows | None = None,
+        stops: Vector = (),
     ) -> None:
         accepted = "a function of arc lengths (N,) that returns (N, 2)"
         _kinds.function("position", position, accepted)
@@ -141,6 +148,7 @@ class Path(eqx.Module):
         self.points = jnp.asarray(points, jnp.float32)
         self.tangents = jnp.asarray(tangents / size[:, None], jnp.float32)
         self.half_widths = _widths(half_widths, count)
+        self.stops = jnp.asarray(_checked_stops(stops, total, is_closed=is_closed), jnp.float32)
         self.length = jnp.asarray(total, jnp.float32)
         self.is_closed = is_closed
 
@@ -223,7 +231,12 @@ class Path(eqx.Module):
         point = self.at(phi)
         return point.position + lateral * point.normal
 
-    def nearest(self, position: Position, near: Scalar | None = None) -> Scalar:
+    def nearest(
+        self,
+        position: Position,
+        near: Scalar | None = None,
+        within: tuple[Scalar, Scalar] | None = None,
+    ) -> Scalar:
         """Return the arc length of the point of the path that is nearest to a position [m].
 
         The search takes the nearest node and refines it by Newton steps on the cubic between the
@@ -236,6 +249,7 @@ class Path(eqx.Module):
         Args:
             position: position of the robot (x, y) [m].
             near: arc length around which the path is searched [m]; the whole path by default.
+            within: arc lengths between which an open path is searched [m]; all of it by default.
         """
         position = _checks.position("position", position)
         if near is not None:
@@ -251,6 +265,10 @@ class Path(eqx.Module):
             if self.is_closed:
                 off = off - self.length * jnp.round(off / self.length)
             square = jnp.where(jnp.abs(off) <= 0.25 * self.length, square, jnp.inf)
+        if within is not None:
+            nodes = h * jnp.arange(count, dtype=jnp.float32)
+            is_within = (nodes >= within[0] - h) & (nodes <= within[1] + h)
+            square = jnp.where(is_within, square, jnp.inf)
         start = h * jnp.argmin(square).astype(jnp.float32)
         phi = start
         for _ in range(NEWTON_STEPS):
@@ -264,7 +282,7 @@ class Path(eqx.Module):
             slope = jnp.maximum(1.0 - point.curvature * across, 0.25)
             phi = jnp.clip(phi + along / slope, start - h, start + h)
         if not self.is_closed:
-            return jnp.clip(phi, 0.0, self.length)
+            return jnp.clip(phi, *((0.0, self.length) if within is None else within))
         if near is None:
             return jnp.mod(phi, self.length)
         return phi + self.length * jnp.round((near - phi) / self.length)
@@ -323,6 +341,15 @@ def _hermite(
     value = start + share * (start_slope + share * (second + share * third))
     first = start_slope + share * (2.0 * second + 3.0 * share * third)
     return value, first, 2.0 * second + 6.0 * share * third
+
+
+def _checked_stops(stops: Vector, length: float, *, is_closed: bool) -> np.ndarray:
+    given = np.asarray(stops, np.float64).reshape(-1)
+    ends = np.concatenate([[0.0], given, [length]])
+    if given.size and (is_closed or not (np.diff(ends) > 0.0).all()):
+        kind = "none, for a closed path" if is_closed else f"rising numbers in (0, {length:g}) [m]"
+        raise ValueError(f"stops is {stops!r}; accepted: {kind}")
+    return given
 
 
 def _widths(half_widths: Rows | None, count: int) -> Float[Array, "N 2"]:

@@ -7,9 +7,11 @@ from jaxplore.maps.files.path_file import path_datum as path_datum
 from jaxplore.maps.files.path_file import read_path as read_path
 from jaxplore.maps.files.ros import map_datum as map_datum
 from jaxplore.maps.files.volume_file import read_volume as read_volume
+from jaxplore.maps.files.volume_file import volume_datum as volume_datum
 from jaxplore.maps.generators.generated import generate_map as generate_map
 from jaxplore.maps.generators.office import office as office
 from jaxplore.maps.generators.office import start_pose as start_pose
+from jaxplore.maps.generators.people import walking_people as walking_people
 from jaxplore.maps.generators.volumes import generate_volume as generate_volume
 from jaxplore.maps.ground import Ground as Ground
 from jaxplore.maps.ground import GroundSample as GroundSample

@@ -100,7 +100,9 @@ class VoxelGrid(eqx.Module):
         given = np.asarray(mask)
         if given.dtype != bool:
             raise ValueError(f"mask has type {given.dtype}; accepted: booleans")
-        return cls(np.where(given, CERTAIN, -CERTAIN).astype(np.float32), resolution, origin)
+        # In single precision at once: no array of twice the size is made.
+        log_odds = np.where(given, np.float32(CERTAIN), np.float32(-CERTAIN))
+        return cls(log_odds, resolution, origin)
 
     @property
     def shape(self) -> tuple[int, int, int]:

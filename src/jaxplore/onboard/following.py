@@ -1,5 +1,6 @@
 """Following of a path that another program plans, on the robot's own map."""
 
+import itertools
 import math
 from typing import Any
 
@@ -11,7 +12,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from jaxplore._xla import on_device
 from jaxplore.belief.perception import Perception
+from jaxplore.dynamics.goal_check import GOAL_RADIUS, STANDING, GoalCheck, Motion
 from jaxplore.dynamics.path_parameter import PathParameter
+from jaxplore.geometry.curves import cusps
 from jaxplore.geometry.path import Path
 from jaxplore.onboard.tasks import Driver, DriveTask
 
@@ -28,12 +31,13 @@ LEAST_LENGTH = 0.05
 """Least length of a path [m]."""
 MOST_LENGTH = 10_000.0
 """Greatest length of a path [m]."""
-END_RADIUS = 0.25
-"""Distance from the end of the path at which the robot is there [m]."""
 
 
 class Following(DriveTask):
     """Drive along a path; at its end, and without one, the robot stands.
+
+    Where the path turns back on itself, the robot comes to rest before it drives on: the path is
+    followed in pieces from cusp to cusp.
 
     Args:
         perception: perception of the pilot.
@@ -43,7 +47,9 @@ class Following(DriveTask):
 
     def __init__(self, perception: Perception) -> None:
         super().__init__(perception)
-        self._new: tuple[Path, np.ndarray] | None = None
+        self._pieces: list[Path] = []
+        self._first = np.zeros(2)
+        self._is_new = False
         self._path: Path | None = None
         self._end = np.zeros(2)
 
@@ -72,15 +78,14 @@ class Following(DriveTask):
         given = np.asarray(points, np.float64).reshape(-1, 2)
         # Far from the origin, single precision has centimetres only.
         first = given[0] if len(given) else np.zeros(2)
-        self._new = path_of_points(given - first), first
+        self._pieces, self._first, self._is_new = pieces_of_points(given - first), first, True
 
     def adapted(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
         """Return a driver for the newest path, from its point that is nearest to the robot."""
-        new, self._new = self._new, None
-        if new is None:
+        if not self._is_new:
             return driver
-        path, first = new
-        moved = (np.asarray(path.points, np.float64) + (first - offset)).astype(np.float32)
+        self._is_new, path = False, self._pieces.pop(0)
+        moved = (np.asarray(path.points, np.float64) + (self._first - offset)).astype(np.float32)
         path = eqx.tree_at(lambda each: each.points, path, on_device(moved))
         self._path, self._end = path, np.asarray(path.points[-1], np.float64)
         self.is_done = False
@@ -89,12 +94,37 @@ class Following(DriveTask):
         expected[robot.state_names.index("phi")] = nearest_parameter(path, on_device(place))
         return Driver(controller, robot, expected)
 
-    def waits_for(self, place: np.ndarray) -> str:
+    def waits_for(self, place: np.ndarray, motion: Motion = STANDING) -> str:
         """Return why the robot stands; empty if it drives."""
         if self._path is None:
             return "no path yet"
-        self.is_done = self.is_done or math.hypot(*(place - self._end)) <= END_RADIUS
+        if not self.is_done and GoalCheck(self._end, GOAL_RADIUS).is_reached(place, motion):
+            # At a cusp the next piece begins.
+            self._is_new = bool(self._pieces)
+            self.is_done = not self._is_new
         return "at the end of the path" if self.is_done else ""
+
+
+def pieces_of_points(points: np.ndarray) -> list[Path]:
+    """Return the smooth paths along points, from cusp to cusp; see `path_of_points`.
+
+    Args:
+        points: (N, 2) points in order [m].
+
+    Raises:
+        ValueError: as of `path_of_points`.
+    """
+    given = np.asarray(points, np.float64).reshape(-1, 2)
+    apart = np.ones(len(given), bool)
+    apart[1:] = (np.diff(given, axis=0) != 0.0).any(axis=1)
+    kept = given[apart]
+    turns = cusps(kept) if len(kept) > 2 and np.isfinite(kept).all() else np.zeros(0, int)
+    ends = [0, *turns.tolist(), len(kept) - 1]
+    pieces = [kept[first : last + 1] for first, last in itertools.pairwise(ends)]
+    long = [each for each in pieces if np.hypot(*np.diff(each, axis=0).T).sum() >= LEAST_LENGTH]
+    return (
+        [path_of_points(each) for each in long] if len(turns) and long else [path_of_points(given)]
+    )
 
 
 def path_of_points(points: np.ndarray) -> Path:

@@ -164,6 +164,7 @@ class DriveLog:
             **robot_fields(scenario.robot, jnp.asarray(start)),
             finished_step=len(rows) if is_done and len(rows) else None,
             target_coverage=None,
+            target="information",
             targets=np.zeros((0, 2), np.float32),
             member_names=(),
             world=probability,

@@ -37,10 +37,12 @@ class Known(NamedTuple):
     Args:
         state: the state with the belief.
         correction: (3,) pose of the odometry in the map; None where they are the same.
+        time: time of the newest scan in the map [s].
     """
 
     state: ExplorationState
     correction: np.ndarray | None
+    time: float = -math.inf
 
 
 class Mapper:
@@ -162,7 +164,7 @@ class Mapper:
             if belief is not mapped.belief:
                 self._log.add_known(due.now, np.asarray(steps.free_cells(belief)))
         correction = None if localiser is None else localiser.correction
-        self.known = Known(self.state._replace(belief=belief), correction)
+        self.known = Known(self.state._replace(belief=belief), correction, due.time)
         self.is_misfit = is_misfit
         if not is_misfit:
             self._fit_at = due.time

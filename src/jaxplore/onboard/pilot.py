@@ -1,5 +1,6 @@
 """The pilot of a robot: scans and odometry in, checked velocity commands out."""
 
+import math
 from typing import Any
 
 import jax
@@ -11,6 +12,7 @@ from jaxplore._xla import on_device
 from jaxplore.control.base import Controller
 from jaxplore.control.guard import MISFIT, REASONS
 from jaxplore.control.validation import StopCheck
+from jaxplore.dynamics.goal_check import Motion
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
 from jaxplore.onboard.drive_clock import DriveClock, Instant, Stamps
@@ -32,6 +34,7 @@ from jaxplore.onboard.tasks import Driver, DriveTask, Exploring
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.sweep import Sweep
 from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
@@ -187,7 +190,12 @@ class Pilot:
             self._data.add_jump(time, problem)
 
     def add_scan(
-        self, stamp: float, scan: Scan, points: np.ndarray, received: Instant | None = None
+        self,
+        stamp: float,
+        scan: Scan,
+        points: np.ndarray,
+        received: Instant | None = None,
+        sweep: Sweep | None = None,
     ) -> None:
         """Take a scan; one with a point that is not finite is left out.
 
@@ -196,6 +204,8 @@ class Pilot:
             scan: readings of the beams of the sensor.
             points: (N, 2) all valid returns in the frame of the robot [m].
             received: when it arrived; as `DriveClock.arrival` says when absent.
+            sweep: when its directions were measured, for a robot that moves meanwhile; all at the
+                time of the scan when absent.
         """
         time = self._scan_stamps.time_of(stamp, *self._clock.arrival(stamp, received))
         if time is None or not np.isfinite(points).all():
@@ -203,7 +213,7 @@ class Pilot:
         former = self._scan
         is_changed = former is None or not np.array_equal(former.points, points)
         self._data.add_scan(time, is_changed=is_changed)
-        self._scan = TakenScan(time, scan, points)
+        self._scan = TakenScan(time, scan, points, sweep)
         # While the robot brakes, nobody takes them.
         kept = [each for each in self._new if time - each.time <= CHECKED_SECONDS]
         self._new = [*kept, self._scan]
@@ -254,7 +264,7 @@ class Pilot:
             return self._stopping(now, elapsed, mode, problem)
         self._adapt()
         state = self._state(now)
-        waits_for = self.task.waits_for(np.asarray(state[:2]))
+        waits_for = self.task.waits_for(np.asarray(state[:2]), self._motion)
         if waits_for:
             return self._stopping(now, elapsed, Mode.WAITING, waits_for)
         if not self.options.is_obeyed:
@@ -317,7 +327,8 @@ class Pilot:
         # Where the clock has jumped since the command, the fields wait for the next one.
         cost = None if time is None else self._mapper.update_fields(perception, time, pose)
         if cost is not None and time is not None:
-            self.finish(self.task.update(time, cost, pose[:2], is_started=self.is_started))
+            told = {"is_started": self.is_started, "motion": self._motion}
+            self.finish(self.task.update(time, cost, pose[:2], **told))
 
     def finish(self, reason: str) -> None:
         """End the drive: the robot stops and stays.
@@ -391,11 +402,22 @@ class Pilot:
         assert last is not None
         return robot_state(self.robot, self._local(last.pose), last.twist, self._expected)
 
+    @property
+    def _motion(self) -> Motion:
+        """How fast the robot moves by its odometry."""
+        assert self._history.last is not None
+        vx, vy, turn_rate = self._history.last.twist.tolist()
+        return Motion(math.hypot(vx, vy), turn_rate)
+
     def _take_scan(self, now: float) -> float | None:
         """Take the points of new scans for the check; return the time of the newest."""
         scans, self._new = self._new, []
         if not scans:
             return None
+        place = np.array([self.options.lidar_x, self.options.lidar_y])
+        last = self._history.last
+        twist = np.zeros(3) if last is None else last.twist
+        scans = [each.undistort(self.sensor, twist, place) for each in scans]
         for each in scans:
             pose = self._poses.reckoned(self._history.at(each.time))
             self._seen.add(each.time, each.points, pose)
@@ -418,6 +440,7 @@ class Pilot:
                     *self._points,
                     np.float32(elapsed),
                     np.int32(self._number),
+                    *self._ages(now),
                 )
             )
         )
@@ -425,12 +448,20 @@ class Pilot:
             self.controller,
             self.robot,
             self.check,
+            self.task.perception.tracker,
             self._memory,
             self._known.state.belief,
             inputs,
             self.scenario.control_period,
             self._key,
         )
+
+    def _ages(self, now: float) -> tuple[np.float32, np.float32]:
+        """Return how old the newest scan, and that in the map, are when a command takes effect."""
+        scan = now if self._scan is None else self._scan.time
+        times = scan, self._known.time if math.isfinite(self._known.time) else now
+        newest, mapped = (max(0.0, now - each) + self.options.latency for each in times)
+        return np.float32(newest), np.float32(mapped)
 
     def _stopping(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
         """Return the next command of a ramp to zero."""

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.beams import Beams, Scan
+from jaxplore.sensing.sweep import Sweep, undistort_points, undistort_scan
 
 NUM_POINTS = 720
 """Number of directions for each of which the nearest point of a scan is kept."""
@@ -21,11 +22,31 @@ class TakenScan(NamedTuple):
         time: time of the scan [s].
         scan: readings of the beams of the sensor.
         points: (N, 2) all valid returns in the frame of the robot [m].
+        sweep: when its directions were measured; all at one time when absent.
     """
 
     time: float
     scan: Scan
     points: np.ndarray
+    sweep: Sweep | None = None
+
+    def undistort(self, sensor: Beams, twist: np.ndarray, place: np.ndarray) -> "TakenScan":
+        """Return the scan as one that was measured at its time at once.
+
+        Args:
+            sensor: sensor of the scan.
+            twist: (3,) velocity (vx, vy, omega) of the robot in its frame.
+            place: (2,) position of the lidar on the robot [m].
+        """
+        if self.sweep is None or not np.any(twist):
+            return self
+        away = self.points - place
+        times = self.sweep.times(np.arctan2(away[:, 1], away[:, 0]))
+        return self._replace(
+            scan=undistort_scan(self.scan, sensor, self.sweep, twist, place),
+            points=undistort_points(self.points, times, twist),
+            sweep=None,
+        )
 
 
 def no_points() -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,6 @@
 """The compiled steps of a pilot: its start, mapping, fields, and the plan with its check."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxplore._types import ControlVector, Count, Flag, GridMask, Key, Pose, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
+from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller
 from jaxplore.control.latency import predicted_state
 from jaxplore.control.plausibility import MAX_MISFIT, scan_misfit
@@ -152,6 +154,8 @@ class PlanInputs(NamedTuple):
         is_point: (P,) points that count.
         elapsed: time since the last command [s].
         number: number of the step, for its random key.
+        age: time from the newest scan to the effect of the command [s].
+        since_map: time from the newest scan in the map to the effect of the command [s].
     """
 
     state: StateVector
@@ -162,6 +166,8 @@ class PlanInputs(NamedTuple):
     is_point: Bool[Array, " P"]
     elapsed: Scalar
     number: Count
+    age: Scalar
+    since_map: Scalar
 
 
 @eqx.filter_jit
@@ -169,6 +175,7 @@ def plan(
     controller: Controller,
     robot: Dynamics,
     check: StopCheck,
+    tracker: ObstacleTracker | None,
     memory: Any,
     belief: Any,
     inputs: PlanInputs,
@@ -181,6 +188,7 @@ def plan(
         controller: controller of the robot.
         robot: model of the robot, by which the state is predicted.
         check: check of the command against the scan.
+        tracker: what tracks moving obstacles; None if nothing moves.
         memory: state of the controller.
         belief: what the robot knows.
         inputs: what the plan starts from.
@@ -191,8 +199,13 @@ def plan(
     start = predicted_state(robot, inputs.state, inputs.sent, inputs.durations)
     start = _with_commanded_speeds(robot, start, inputs.expected)
     adapted = controller.at_period(inputs.elapsed)
+    points, is_point, speeds = inputs.points, inputs.is_point, None
+    if tracker is not None and belief.tracks is not None and belief.obstacles is not None:
+        speeds = tracker.possible_speeds(belief.tracks, belief.clearance, points, is_point)
+        later = belief.obstacles.after(inputs.since_map)
+        belief = dataclasses.replace(belief, obstacles=later)
     control, memory, info = adapted.step(memory, start, belief, key=key)
-    checked = check(robot, start, control, period, inputs.points, inputs.is_point)
+    checked = check(robot, start, control, period, points, is_point, speeds, inputs.age)
     controls = _ahead(controller, info.controls, checked.control, period)
 
     def step(at: StateVector, each: ControlVector) -> tuple[StateVector, tuple[Array, Array]]:

@@ -7,13 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxplore.belief.exploration_field import LEFTOVER_DETOUR
+from jaxplore.belief.exploration_field import leads_to_information
 from jaxplore.belief.perception import Perception
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.goal_check import GOAL_RADIUS, STANDING, GoalCheck, Motion
 
-HOME_RADIUS = 0.3
-"""Distance from its first position at which a robot is back [m]."""
 LOST_SECONDS = 10.0
 """Time without a way back after which a robot gives it up [s]."""
 NOTHING_LEFT = "no place that is worth a visit is reachable"
@@ -60,11 +59,12 @@ class DriveTask:
         """
         return driver
 
-    def waits_for(self, place: np.ndarray) -> str:
+    def waits_for(self, place: np.ndarray, motion: Motion = STANDING) -> str:
         """Return why the robot stands; empty if it drives.
 
         Args:
             place: (2,) position relative to the origin of the belief [m].
+            motion: how fast it moves.
         """
         return ""
 
@@ -99,7 +99,15 @@ class DriveTask:
     def go_on(self) -> None:
         """Go on with the task, also after the robot was told to turn back."""
 
-    def update(self, now: float, cost: float, place: np.ndarray, *, is_started: bool) -> str:
+    def update(
+        self,
+        now: float,
+        cost: float,
+        place: np.ndarray,
+        *,
+        is_started: bool,
+        motion: Motion = STANDING,
+    ) -> str:
         """Take note of new fields; return why the drive is done, empty if it goes on.
 
         Args:
@@ -107,6 +115,7 @@ class DriveTask:
             cost: cost-to-go of the guidance field at the robot [m].
             place: (2,) position relative to the origin of the belief [m].
             is_started: whether the robot may drive.
+            motion: how fast it moves.
         """
         return ""
 
@@ -162,13 +171,19 @@ class Exploring(DriveTask):
             self._way_at, self._worth_at = None, -math.inf
             self.perception = _with_max_unknown(self.perception, 0.0)
 
-    def update(self, now: float, cost: float, place: np.ndarray, *, is_started: bool) -> str:
+    def update(
+        self,
+        now: float,
+        cost: float,
+        place: np.ndarray,
+        *,
+        is_started: bool,
+        motion: Motion = STANDING,
+    ) -> str:
         """Take note of new fields; return why the drive is done, empty if it goes on."""
         if self.is_returning:
-            return self._returning(now, cost, place)
-        # Places with little information, and the goal, have a detour of their own; without any
-        # place the field has no finite cost.
-        has_worth = math.isfinite(cost) and cost < 0.5 * LEFTOVER_DETOUR
+            return self._returning(now, cost, place, motion)
+        has_worth = leads_to_information(cost)
         # Before the first scans nothing is known, and a map that does not grow is not a reason.
         if has_worth or not is_started or not math.isfinite(self._worth_at):
             self._worth_at = now
@@ -179,9 +194,9 @@ class Exploring(DriveTask):
             self.turn_back(now, NOTHING_LEFT)
         return ""
 
-    def _returning(self, now: float, cost: float, place: np.ndarray) -> str:
-        goal = np.asarray(self.perception.goal)
-        if math.hypot(*(place - goal)) <= HOME_RADIUS:
+    def _returning(self, now: float, cost: float, place: np.ndarray, motion: Motion) -> str:
+        home = GoalCheck(np.asarray(self.perception.goal), GOAL_RADIUS)
+        if home.is_reached(place, motion):
             return f"{self._reason}; the robot is back at its start"
         assert self._way_at is not None
         if math.isfinite(cost):

@@ -1,7 +1,8 @@
-"""Read bags of ROS 2 without ROS: rosbag2 folders, `.db3` and `.mcap` files.
+"""Read bags without ROS: rosbag2 folders, `.db3` and `.mcap` files, and `.bag` files of ROS 1.
 
 A bag from elsewhere is not trusted. Its own definitions of messages are not read, because a reader
-makes code of them: the messages here are the same in all versions of ROS 2 since Humble.
+makes code of them: the messages here are the same in all versions of ROS 2 since Humble, and in
+ROS 1 since they were last changed, before Indigo.
 """
 
 import functools
@@ -15,7 +16,7 @@ from jaxplore import _kinds
 from jaxplore._files import read_yaml
 from jaxplore._optional import import_optional
 from jaxplore._text import error_reason, printable_path, short_repr
-from jaxplore.ros.unpacked import check_chunks
+from jaxplore.ros.unpacked import check_chunks, check_records
 
 EXTRA = "bags"
 """Extra that installs the package which reads and writes bags."""
@@ -26,6 +27,7 @@ KINDS = {
     "OccupancyGrid": "nav_msgs/msg/OccupancyGrid",
     "Path": "nav_msgs/msg/Path",
     "Twist": "geometry_msgs/msg/Twist",
+    "TFMessage": "tf2_msgs/msg/TFMessage",
 }
 """Kinds of messages that are read and written, and their names in ROS."""
 FILES_LIMIT = 1000
@@ -41,6 +43,10 @@ COUNT_LIMIT = 10_000_000
 
 _METADATA = "metadata.yaml"
 _SUFFIXES = (".db3", ".mcap")
+_ROS1 = ".bag"
+_ACCEPTED = "a rosbag2 folder, its .db3 or .mcap file, or a .bag of ROS 1"
+_SAME = {"tf/msg/tfMessage": KINDS["TFMessage"]}
+"""Types of ROS 1 that have the fields of others."""
 
 
 class BagTopic(NamedTuple):
@@ -75,7 +81,7 @@ def bag_topics(path: str | os.PathLike[str]) -> dict[str, BagTopic]:
     """Return the topics of a bag by name.
 
     Args:
-        path: a rosbag2 folder, or its `.db3` or `.mcap` file.
+        path: a rosbag2 folder, its `.db3` or `.mcap` file, or a `.bag` of ROS 1.
 
     Raises:
         ValueError: a bag that is missing, damaged, compressed as a whole, too large or without
@@ -113,7 +119,7 @@ def read_bag(path: str | os.PathLike[str], topics: Collection[str]) -> Iterator[
     """Read the messages of some topics, in the order of their times.
 
     Args:
-        path: a rosbag2 folder, or its `.db3` or `.mcap` file.
+        path: a rosbag2 folder, its `.db3` or `.mcap` file, or a `.bag` of ROS 1.
         topics: names of the topics.
 
     Raises:
@@ -139,13 +145,15 @@ def read_bag(path: str | os.PathLike[str], topics: Collection[str]) -> Iterator[
 
 
 def _messages(path: str | os.PathLike[str], topics: frozenset[str]) -> Iterator[BagMessage]:
-    store, count = typestore(), 0
+    is_ros1, count = _is_ros1(Path(path)), 0
+    store = typestore(is_ros1=is_ros1)
+    unpack = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
     with _opened(path, is_checked=True) as reader:
         # By type as well: a damaged bag may have a topic twice.
         chosen = [
             each
             for each in reader.connections
-            if each.topic in topics and each.msgtype in KINDS.values()
+            if each.topic in topics and _type(each) in KINDS.values()
         ]
         source = reader.messages(connections=chosen)
         while True:
@@ -157,7 +165,7 @@ def _messages(path: str | os.PathLike[str], topics: frozenset[str]) -> Iterator[
                 count += 1
                 if len(data) > MESSAGE_LIMIT or count > COUNT_LIMIT:
                     raise ValueError(f"message {count} of {len(data)} bytes is too large or many")
-                message = store.deserialize_cdr(data, connection.msgtype)
+                message = unpack(data, _type(connection))
                 time = int(nanoseconds) / 10**9
             yield BagMessage(time, connection.topic, message)
 
@@ -166,14 +174,16 @@ def _topics(path: str | os.PathLike[str], reader: Any) -> dict[str, BagTopic]:
     """Return the topics of an open bag."""
     names = {name: kind for kind, name in KINDS.items()}
     found: dict[str, BagTopic] = {}
-    store = typestore()
+    is_ros1 = _is_ros1(Path(path))
+    store = typestore(is_ros1=is_ros1)
     with _readable(path):
         for each in reader.connections:
             if each.topic in found and found[each.topic].type != each.msgtype:
                 raise ValueError(f"topic {each.topic!r} is of two types")
-            kind = names.get(each.msgtype)
-            if kind is not None and each.digest and each.digest != store.hash_rihs01(each.msgtype):
-                raise ValueError(f"its {kind} differs from that of ROS 2")
+            kind = names.get(_type(each))
+            if kind is not None and each.digest and each.digest != _digest(store, KINDS[kind]):
+                version = 1 if is_ros1 else 2
+                raise ValueError(f"its {kind} differs from that of ROS {version}")
             before = found[each.topic].number if each.topic in found else 0
             found[each.topic] = BagTopic(kind, str(each.msgtype), before + int(each.msgcount))
     if not sum(each.number for each in found.values()):
@@ -182,22 +192,53 @@ def _topics(path: str | os.PathLike[str], reader: Any) -> dict[str, BagTopic]:
     return found
 
 
+def _is_ros1(path: Path) -> bool:
+    return path.suffix == _ROS1 and not path.is_dir()
+
+
+def _type(connection: Any) -> str:
+    return _SAME.get(str(connection.msgtype), str(connection.msgtype))
+
+
+def _digest(store: Any, name: str) -> str:
+    """Return the hash of a type, by which a bag says that it means the same."""
+    if store is typestore(is_ros1=True):
+        return str(store.generate_msgdef(name, ros_version=1)[1])
+    return str(store.hash_rihs01(name))
+
+
 @contextmanager
 def _opened(path: str | os.PathLike[str], *, is_checked: bool = False) -> Iterator[Any]:
     """Yield an open reader of a bag, whose files are checked unless they have been."""
-    module = import_optional("rosbags.rosbag2", EXTRA)
     _kinds.instance("path", path, str, os.PathLike)
+    version = 1 if _is_ros1(Path(path)) else 2
+    module: Any = import_optional(f"rosbags.rosbag{version}", EXTRA)
     if not is_checked:
         _check_files(Path(path))
     with ExitStack() as stack:
-        with _readable(path):
+        with _readable(path), _rows_limited():
             reader = stack.enter_context(module.Reader(Path(path)))
         yield reader
 
 
+@contextmanager
+def _rows_limited() -> Iterator[None]:
+    """Let the databases that are opened refuse long rows before they take memory for them."""
+    apsw = import_optional("apsw", EXTRA)
+
+    def limit(connection: Any) -> None:
+        connection.limit(apsw.SQLITE_LIMIT_LENGTH, MESSAGE_LIMIT + METADATA_LIMIT)
+
+    apsw.connection_hooks.append(limit)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(limit)
+
+
 def _check_files(path: Path) -> None:
     """Check the files of a bag before any is opened."""
-    where, accepted = printable_path(path), "a rosbag2 folder, or its .db3 or .mcap file"
+    where, accepted = printable_path(path), _ACCEPTED
     if "\0" in str(path) or not path.exists():
         raise ValueError(f"bag {where!r} is not there; accepted: {accepted}")
     files = [path]
@@ -228,7 +269,8 @@ def _check_files(path: Path) -> None:
         # The reader looks for them in the folder alone.
         files = [path / Path(str(name)).name for name in names]
     for file in files:
-        if not file.is_file() or file.suffix not in _SUFFIXES:
+        suffixes = _SUFFIXES if path.is_dir() else (*_SUFFIXES, _ROS1)
+        if not file.is_file() or file.suffix not in suffixes:
             raise ValueError(
                 f"file {printable_path(file)!r} of a bag is not there or no .db3 or .mcap file; "
                 f"accepted: {accepted}"
@@ -237,9 +279,11 @@ def _check_files(path: Path) -> None:
     if size > SIZE_LIMIT:
         raise ValueError(f"bag {where!r} has {size} bytes; accepted: at most {SIZE_LIMIT}")
     for file in files:
-        if file.suffix == ".mcap":
-            with _readable(path):
+        with _readable(path):
+            if file.suffix == ".mcap":
                 check_chunks(file)
+            elif file.suffix == _ROS1:
+                check_records(file)
 
 
 @contextmanager
@@ -251,12 +295,18 @@ def _readable(path: str | os.PathLike[str]) -> Iterator[None]:
         # Readers of formats and databases raise errors of many kinds for damaged files.
         raise ValueError(
             f"bag {printable_path(Path(path))!r} cannot be read ({error_reason(error)}); "
-            "accepted: a rosbag2 folder, or its .db3 or .mcap file"
+            f"accepted: {_ACCEPTED}"
         ) from None
 
 
 @functools.cache
-def typestore() -> Any:
-    """Return the definitions of the messages."""
-    typesys = import_optional("rosbags.typesys", EXTRA)
-    return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+def typestore(*, is_ros1: bool = False) -> Any:
+    """Return the definitions of the messages, those of ROS 2 or of ROS 1."""
+    typesys: Any = import_optional("rosbags.typesys", EXTRA)
+    if not is_ros1:
+        return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+    # The package has the messages of ROS 1 itself, and none of tf2.
+    definition = "geometry_msgs/TransformStamped[] transforms"
+    store.register(typesys.get_types_from_msg(definition, KINDS["TFMessage"]))
+    return store

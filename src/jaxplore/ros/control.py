@@ -311,7 +311,7 @@ class ControlNode:
             self._pose_frame = pose.frame or self._pose_frame
             pilot.add_odometry(pose.time, pose.pose, pose.twist, pose.received)
         for scan in scans:
-            pilot.add_scan(scan.time, scan.scan, scan.points, scan.received)
+            pilot.add_scan(scan.time, scan.scan, scan.points, scan.received, scan.sweep)
         if parameters:
             pilot.controller = set_parameters(pilot.controller, parameters)
         for order in orders:

@@ -15,7 +15,10 @@ import numpy as np
 from jaxplore import _checks
 from jaxplore.onboard.drive_clock import Instant
 from jaxplore.sensing.beams import Beams, Scan
+from jaxplore.sensing.lidar import Lidar
+from jaxplore.sensing.lidar_errors import NEAR_FLOOR, floor_distance
 from jaxplore.sensing.no_echo import NoEcho
+from jaxplore.sensing.sweep import Sweep
 
 MOST_READINGS = 100_000
 """Greatest number of readings of a scan."""
@@ -42,6 +45,10 @@ class Odometry(NamedTuple):
     received: Instant | None = None
 
 
+LONGEST_SWEEP = 1.0
+"""Longest time of a scan that is believed [s]."""
+
+
 class LaserScan(NamedTuple):
     """A scan of a lidar.
 
@@ -52,6 +59,7 @@ class LaserScan(NamedTuple):
         points: (N, 2) all valid returns in the frame of the robot [m], also of readings that no
             beam of the sensor has.
         received: when it arrived; None where nobody has noted it.
+        sweep: when its directions were measured; None where the driver does not tell.
     """
 
     time: float
@@ -59,6 +67,7 @@ class LaserScan(NamedTuple):
     scan: Scan
     points: np.ndarray
     received: Instant | None = None
+    sweep: Sweep | None = None
 
 
 class Mount(NamedTuple):
@@ -228,6 +237,13 @@ def laser_scan_of(
     # Some drivers leave the field at 0.
     most = float(message.range_max) or math.inf
     ranges = (NoEcho() if no_echo is None else no_echo).with_infinite(ranges, most)
+    if isinstance(sensor, Lidar) and sensor.errors is not None:
+        tilt = sensor.errors
+        angles = first + mount.yaw + step * np.arange(ranges.size)
+        tilted = float(sensor.height), float(tilt.pitch), float(tilt.roll)
+        # A tilted lidar sees the floor there, and what a reading beyond it means is not known.
+        is_floor = ranges >= NEAR_FLOOR * floor_distance(angles, *tilted)
+        ranges = np.where(is_floor, np.nan, ranges)
     # What is left at the greatest range is a return.
     beyond = math.nextafter(most, math.inf)
     scan = Scan.from_ranges(
@@ -239,13 +255,19 @@ def laser_scan_of(
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     points = np.array([mount.x, mount.y]) + ranges[is_return, None] * directions
     header = message.header
-    return LaserScan(time_of(header.stamp), text_of(header.frame_id), scan, points)
+    # The time between two readings. Many drivers leave it at 0.
+    pause = float(message.time_increment)
+    is_told = 0.0 < pause * ranges.size <= LONGEST_SWEEP
+    sweep = Sweep(first + mount.yaw, step / pause) if is_told else None
+    frame = text_of(header.frame_id)
+    return LaserScan(time_of(header.stamp), frame, scan, points, sweep=sweep)
 
 
 def fill_laser_scan(
     message: Any, scan: Scan, sensor: Beams, seconds: float, frame: str, *, period: float
 ) -> None:
-    """Fill a `sensor_msgs/LaserScan` with a scan; beams that met nothing are infinite (REP 117).
+    """Fill a `sensor_msgs/LaserScan` with a scan; beams that met nothing are infinite, and those
+    without a measurement NaN (REP 117).
 
     Args:
         message: the message.
@@ -261,7 +283,9 @@ def fill_laser_scan(
     message.angle_increment = float(sensor.beam_spacing)
     message.time_increment, message.scan_time = 0.0, float(period)
     message.range_min, message.range_max = 0.0, float(sensor.max_range)
-    ranges = np.where(np.asarray(scan.is_return), np.asarray(scan.ranges), np.inf)
+    given = np.asarray(scan.ranges)
+    # A range of 0 is no measurement; another one without a return met nothing.
+    ranges = np.where(np.asarray(scan.is_return), given, np.where(given > 0.0, np.inf, np.nan))
     message.ranges = array.array("f", ranges.astype(np.float32).tobytes())
 
 

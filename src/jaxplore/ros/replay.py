@@ -1,8 +1,10 @@
 """Feed a recorded drive to a pilot: what would it have commanded."""
 
+import contextlib
+import math
 import os
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxplore.onboard.drive_clock import Instant
 from jaxplore.onboard.options import Command
@@ -10,10 +12,19 @@ from jaxplore.onboard.pilot import Pilot
 from jaxplore.ros import messages
 from jaxplore.ros.bag import BagMessage, bag_topics, choose_topic, read_bag
 from jaxplore.ros.messages import Mount
+from jaxplore.ros.transforms import Transforms
 from jaxplore.sensing.no_echo import NoEcho
 
-POSES = ("Odometry", "PoseWithCovarianceStamped")
+POSES = ("Odometry", "PoseWithCovarianceStamped", "TFMessage")
 """Kinds of messages that have the pose of the robot, the preferred one first."""
+STATIC = "tf_static"
+"""Last name of a topic whose transforms hold for all times."""
+ROBOT_FRAMES = ("base_link", "base_footprint")
+"""Names of the frame of a robot (REP 105), the preferred one first."""
+WORLD_FRAME = "map"
+"""Name of the frame that is fixed in the world; without it the root of the robot's frame is."""
+MOST_FRAMES = 1000
+"""Greatest number of frames of a bag."""
 GAP_SECONDS = 5.0
 """Longest time between two messages that is replayed [s]; beyond it the robot has long come to
 rest."""
@@ -49,7 +60,8 @@ def replay_topics(
     Args:
         path: the bag.
         scan: name of the topic of the scan; the only one of that kind when absent.
-        pose: name of the topic of the pose; the only odometry when absent, or else the only pose.
+        pose: name of the topic of the pose; the only odometry when absent, or else the only pose,
+            or else the transforms.
 
     Raises:
         ValueError: a bag that cannot be read, without such topics, or with several.
@@ -60,9 +72,19 @@ def replay_topics(
         found = topics.get(pose)
         kind = POSES[0] if found is None or found.kind not in POSES else str(found.kind)
         return scan_topic, choose_topic(topics, kind, pose)
-    kinds = {each.kind for each in topics.values()}
-    kind = next((each for each in POSES if each in kinds), POSES[0])
-    return scan_topic, choose_topic(topics, kind)
+    moving = {
+        name: each
+        for name, each in topics.items()
+        if each.kind in POSES and each.number and not name.endswith(STATIC)
+    }
+    kind = next((each for each in POSES if each in {of.kind for of in moving.values()}), None)
+    if kind is None:
+        names = ", ".join(map(repr, sorted(topics)))
+        raise ValueError(
+            f"bag has no pose: its topics are {names}; accepted: a bag with one of kind "
+            f"{', '.join(POSES)}"
+        )
+    return scan_topic, choose_topic(moving, kind)
 
 
 def replay(
@@ -84,20 +106,23 @@ def replay(
         path: the bag.
         pilot: the pilot; its option `is_obeyed` is false, because the recorded robot did not obey.
         scan: topic of the scan.
-        pose: topic of the pose.
+        pose: topic of the pose; of transforms the pose follows from a chain of those of all topics,
+            such as `map -> odom -> base_link`.
         mount: pose of the lidar on the robot.
         no_echo: which readings met nothing; by the rule `auto` when absent.
         on_progress: called with the recorded time since the first message [s].
 
     Raises:
-        ValueError: a bag that cannot be read.
+        ValueError: a bag that cannot be read; transforms without a frame of a robot.
     """
     no_echo = NoEcho() if no_echo is None else no_echo
+    chain = _Chain.of(path) if bag_topics(path)[pose].kind == "TFMessage" else None
+    topics = [scan, pose] if chain is None else [scan, *chain.topics]
     began: float | None = None
     due, now, skipped, number, malformed, reason = 0.0, 0.0, 0.0, 0, 0, ""
     times: list[float] = []
     commands: list[Command] = []
-    for each in read_bag(path, [scan, pose]):
+    for each in read_bag(path, topics):
         if began is None:
             began = due = now = each.time
         # The times of a bag from elsewhere may jump by years.
@@ -112,11 +137,75 @@ def replay(
         on_progress(each.time - began)
         number += 1
         try:
-            _feed(pilot, each.topic == scan, each, skipped, mount, no_echo)
+            if chain is not None and each.topic != scan:
+                chain.feed(pilot, each, skipped)
+            else:
+                _feed(pilot, each.topic == scan, each, skipped, mount, no_echo)
         except (ValueError, TypeError, OverflowError, AttributeError) as error:
             malformed += 1
             reason = reason or " ".join(str(error).split())
     return Replayed(times, commands, number, malformed, reason, skipped, no_echo.news)
+
+
+class _Chain:
+    """The transforms of a bag, and the pose of the robot that follows from them."""
+
+    def __init__(self, world: str, robot: str, topics: list[str]) -> None:
+        self.topics = topics
+        self._world, self._robot = world, robot
+        self._transforms = Transforms()
+        self._latest = -math.inf
+
+    @classmethod
+    def of(cls, path: str | os.PathLike[str]) -> "_Chain":
+        """Find the frames of the robot and of the world among the transforms of a bag."""
+        topics = [name for name, each in bag_topics(path).items() if each.kind == "TFMessage"]
+        parents: dict[str, str] = {}
+        static = []
+        for each in read_bag(path, topics):
+            for one in each.message.transforms:
+                name, parent = (
+                    str(frame).removeprefix("/")
+                    for frame in (one.child_frame_id, one.header.frame_id)
+                )
+                if name in parents or len(parents) < MOST_FRAMES:
+                    parents[name] = parent
+                if each.topic.endswith(STATIC) and len(static) < MOST_FRAMES:
+                    static.append(one)
+        robot = next(
+            (name for wanted in ROBOT_FRAMES for name in parents if name.split("/")[-1] == wanted),
+            None,
+        )
+        if robot is None:
+            names = ", ".join(map(messages.text_of, sorted(parents)[:8])) or "none"
+            raise ValueError(
+                f"bag has no pose: no transform places {' or '.join(ROBOT_FRAMES)}, only {names}; "
+                "accepted: transforms of the frame of a robot"
+            )
+        above = [robot]
+        while above[-1] in parents and parents[above[-1]] not in above:
+            above.append(parents[above[-1]])
+        named = [name for name in above[1:] if name.split("/")[-1] == WORLD_FRAME]
+        found = cls(named[0] if named else above[-1], robot, topics)
+        # Those that hold for all times may be recorded late.
+        for one in static:
+            found._add(one, is_static=True)
+        return found
+
+    def feed(self, pilot: Pilot, given: BagMessage, skipped: float) -> None:
+        """Take transforms, and give the pose that follows from them to the pilot."""
+        for one in given.message.transforms:
+            self._add(one, is_static=given.topic.endswith(STATIC))
+        place = self._transforms.pose(self._world, self._robot)
+        if place is not None and place.time != self._latest:
+            self._latest = place.time
+            received = Instant(given.time - skipped)
+            pilot.add_odometry(place.time - skipped, place.pose, None, received)
+
+    def _add(self, one: Any, *, is_static: bool) -> None:
+        # A camera's transform that is wrong does not take the robot's away.
+        with contextlib.suppress(ValueError):
+            self._transforms.add(one, is_static=is_static)
 
 
 def _feed(
@@ -131,7 +220,7 @@ def _feed(
     received = Instant(given.time - skipped)
     if is_scan:
         scan = messages.laser_scan_of(given.message, pilot.sensor, mount, no_echo)
-        pilot.add_scan(scan.time - skipped, scan.scan, scan.points, received)
+        pilot.add_scan(scan.time - skipped, scan.scan, scan.points, received, scan.sweep)
     else:
         place = messages.odometry_of(given.message)
         pilot.add_odometry(place.time - skipped, place.pose, place.twist, received)

@@ -1,10 +1,12 @@
-"""Bounds of the unpacked size of an MCAP file's chunks, without unpacking them.
+"""Bounds of the unpacked size of the chunks of bags, without keeping what is unpacked.
 
 A reader unpacks a chunk as a whole, and a few bytes may stand for gigabytes.
 
-Source: MCAP specification (records, chunks); RFC 8878 (zstd frames and blocks); LZ4 frame format.
+Source: MCAP specification (records, chunks); RFC 8878 (zstd frames and blocks); LZ4 frame format;
+bag format 2.0 of ROS 1.
 """
 
+import bz2
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +18,9 @@ CHUNK_LIMIT = 2**28
 """Greatest unpacked size of a chunk [bytes]."""
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK = 0x06
+_ROS1_MAGIC, _ROS1_CHUNK = b"#ROSBAG V2.0\n", b"\x05"
+_BZ2_PART = 2**20
+"""Number of bytes that are unpacked of bz2 at a time."""
 _ZSTD, _SKIPPABLE, _LZ4 = 0xFD2FB528, 0x184D2A5, 0x184D2204
 _ZSTD_BLOCK = 2**17
 """Greatest unpacked size of a block of zstd [bytes]."""
@@ -59,6 +64,81 @@ def _check_chunk(file: BinaryIO, limit: int) -> None:
         raise ValueError(f"a chunk is packed by {name!r}")
     if bounds[name](file.read(size)) > max(limit, 0):
         raise ValueError(f"a chunk may have more than {limit} bytes unpacked")
+
+
+def check_records(path: Path, limit: int = CHUNK_LIMIT) -> None:
+    """Check the records of a bag of ROS 1: no chunk is unpacked to more than a limit.
+
+    Args:
+        path: the file.
+        limit: the limit, also of each record and header [bytes].
+
+    Raises:
+        ValueError: a chunk or a record that is larger, or a chunk that is packed in a way that is
+            not known; a file that is no such bag, or ends within a record. A damaged one may raise
+            a `struct.error`, an `IndexError` or an `OSError`.
+    """
+    opened = open_regular(path)
+    if opened is None:
+        raise ValueError("it is not there or not a file")
+    with opened as file:
+        if file.read(len(_ROS1_MAGIC)) != _ROS1_MAGIC:
+            raise ValueError("it is no bag of ROS 1, version 2.0")
+        end = file.seek(0, 2)
+        file.seek(len(_ROS1_MAGIC))
+        while file.tell() < end:
+            fields = _fields(_sized(file, end, limit))
+            (size,) = struct.unpack("<I", file.read(4))
+            following = file.tell() + size
+            if size > limit or following > end:
+                raise ValueError(f"a record has {size} bytes, more than {min(limit, end)}")
+            if fields.get(b"op") == _ROS1_CHUNK:
+                (declared,) = struct.unpack("<I", fields[b"size"])
+                name, data = fields[b"compression"], file.read(size)
+                if declared > limit or _ros1_bound(name, data, limit) > limit:
+                    raise ValueError(f"a chunk may have more than {limit} bytes unpacked")
+            file.seek(following)
+
+
+def _sized(file: BinaryIO, end: int, limit: int) -> bytes:
+    """Return the bytes that follow, whose number comes first."""
+    (size,) = struct.unpack("<I", file.read(4))
+    if size > min(limit, end - file.tell()):
+        raise ValueError(f"a header has {size} bytes, more than there are")
+    return file.read(size)
+
+
+def _fields(header: bytes) -> dict[bytes, bytes]:
+    """Return the fields of a header of ROS 1."""
+    fields, at = {}, 0
+    while at < len(header):
+        (size,) = struct.unpack_from("<I", header, at)
+        name, _, value = header[at + 4 : at + 4 + size].partition(b"=")
+        fields[name] = value
+        at += 4 + size
+    return fields
+
+
+def _ros1_bound(name: bytes, data: bytes, limit: int) -> int:
+    """Return a bound of the unpacked size of a chunk of ROS 1; more than the limit says enough."""
+    if name == b"none":
+        return len(data)
+    if name == b"lz4":
+        return lz4_bound(data)
+    if name != b"bz2":
+        raise ValueError(f"a chunk is packed by {name!r}")
+    # Its blocks do not say how much they hold.
+    total = 0
+    while data and total <= limit:
+        unpacker = bz2.BZ2Decompressor()
+        while not unpacker.eof and total <= limit:
+            part = unpacker.decompress(data, _BZ2_PART)
+            data = b""
+            if not part and unpacker.needs_input:
+                raise ValueError("a chunk of bz2 is cut off")
+            total += len(part)
+        data = unpacker.unused_data
+    return total
 
 
 def zstd_bound(data: bytes) -> int:

@@ -119,6 +119,7 @@ class Sensor(Beams):
         key: Key,
         ground: Ground | None = None,
         movers: Float[Array, "M 3"] | None = None,
+        is_told: bool = True,
     ) -> Scan:
         """Simulate a scan of a world.
 
@@ -133,9 +134,10 @@ class Sensor(Beams):
             ground: ground of the world. By default it is level: at elevation 0 for a camera, and
                 far below for a lidar.
             movers: moving obstacles, discs (M, 3) as (x, y, radius) [m], taller than the view. A
-                beam that meets one before anything else ends there, at range 0 inside it, without a
-                return: moving obstacles are for a tracker, not for the map. A disc of radius 0 is
-                ignored.
+                beam that meets one before anything else ends there, at range 0 inside it. A disc of
+                radius 0 is ignored.
+            is_told: whether such a beam has no return, which tells that it ended at a moving
+                obstacle. No lidar tells; it is for truth that is handed to the robot.
 
         Raises:
             ValueError: a ground of another shape or resolution than the world, an argument of
@@ -163,8 +165,17 @@ class Sensor(Beams):
         is_met = first < self.max_range
         noise = self.range_noise * jax.random.normal(key, first.shape)
         ranges = jnp.clip(first + noise, 0.0, self.max_range)
-        is_return = is_met if is_mover is None else is_met & ~is_mover
-        return Scan(jnp.where(is_met, ranges, self.max_range), is_return)
+        is_return = is_met & ~is_mover if is_told and is_mover is not None else is_met
+        return self.degrade(Scan(jnp.where(is_met, ranges, self.max_range), is_return), key)
+
+    def degrade(self, scan: Scan, key: Key) -> Scan:
+        """Return a simulated scan with the errors of the sensor, beside noise; by default none.
+
+        Args:
+            scan: the scan with noise.
+            key: random key of the scan.
+        """
+        return scan
 
     def sight(
         self, grid: OccupancyGrid, scan: Scan, pose: Pose, ground: Ground | None = None

@@ -75,8 +75,8 @@ class Scan(NamedTuple):
     """One scan: `ranges` (B,) [m], and a mask `is_return` (B,) of the beams that returned.
 
     A beam that met nothing within the sensor's range has the maximum range and no return. A beam
-    that ended at a moving obstacle has its range and no return: the cells before it are free, and
-    the cell in which it ended must not be marked in the map.
+    that is known to have ended at a moving obstacle has its range and no return: the cells before
+    it are free, and the cell in which it ended must not be marked in the map.
     """
 
     ranges: Float[Array, " B"]

@@ -166,7 +166,8 @@ def beam_evidence(
     is_wall = (is_first & is_occupied).any(axis=-1)
     # An infinite distance would make the densities NaN.
     bounded = jnp.minimum(expected, model.max_range)
-    met_person = ~is_return & (ranges < model.max_range)
+    # A range of 0 is no measurement.
+    met_person = ~is_return & (ranges > 0.0) & (ranges < model.max_range)
     known = model.as_known(ranges, is_return, jnp.where(is_wall, bounded, expected), is_wall)
     present = model.with_obstacle(ranges, entry, exit_)
     gone = model.without_wall(ranges, is_return, bounded)

@@ -3,15 +3,18 @@
 import math
 
 import equinox as eqx
+import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_BEAMS
-from jaxplore._types import ArrayLike, Scalar
+from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.geometry.rays import RayCells
 from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.fan import checked_range, checked_view, first_entry
+from jaxplore.sensing.lidar_errors import LidarErrors
 
 NEAR_GROUND = 3.0
 """Standard deviations before higher ground within which a reading is taken for the ground. With
@@ -36,7 +39,8 @@ class Lidar(Sensor):
             the beams are 2 pi / B apart; over a sector the first and the last are on its edges.
         range_noise: standard deviation of a returned range [m].
         height: height of the beams above the ground on which the robot stands [m]; used only with a
-            ground.
+            ground, and for the floor that a tilted lidar sees.
+        errors: least range, missing and false returns, and a tilt; none when absent.
 
     Raises:
         ValueError: no beams, a range or a height that is not positive, a field of view outside
@@ -48,6 +52,7 @@ class Lidar(Sensor):
     field_of_view: float = eqx.field(static=True)
     range_noise: Scalar
     height: Scalar
+    errors: LidarErrors | None
 
     def __init__(
         self,
@@ -56,12 +61,22 @@ class Lidar(Sensor):
         field_of_view: float = 2.0 * math.pi,
         range_noise: ArrayLike = 0.02,
         height: ArrayLike = 0.5,
+        errors: LidarErrors | None = None,
     ) -> None:
         self.num_beams = _checks.positive_int("num_beams", num_beams, at_most=MOST_BEAMS)
         self.max_range = checked_range("max_range", max_range)
         self.field_of_view = checked_view("field_of_view", field_of_view)
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
         self.height = _checks.scalar("height", height, above=0.0)
+        _kinds.instance("errors", errors, LidarErrors, may_be_none=True)
+        self.errors = errors
+
+    def degrade(self, scan: Scan, key: Key) -> Scan:
+        """Return a simulated scan with the errors of the lidar."""
+        if self.errors is None:
+            return scan
+        angles = jnp.asarray(self.beam_angles)
+        return self.errors.apply(scan, angles, self.height, self.max_range, key)
 
     def stops(
         self,

@@ -3,7 +3,7 @@
 import importlib.resources
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -26,6 +26,7 @@ from jaxplore.settings.fleet import FleetSettings
 from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
+from jaxplore.settings.people import PeopleSettings
 from jaxplore.settings.robot import (
     CARS,
     GROUND_ROBOTS,
@@ -226,19 +227,26 @@ class Settings(RunSettings):
         guard: whether the robot brakes while its pose, its scan or its motion cannot be true: see
             `jaxplore.MotionGuard`. A fleet has none.
         fleet: several robots that share what they know; one robot when absent.
+        people: people who walk on the map, and how the robot minds them.
     """
 
     map: str
     world: dict[str, Any] | None = None
     architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
     goal: tuple[Real, Real] | tuple[Real, Real, Real] | None = None
-    goal_radius: Length | None = setting(ExplorationScenario, "goal_radius")
+    goal_radius: Length = setting(ExplorationScenario, "goal_radius")
+    goal_heading: Real | None = setting(ExplorationScenario, "goal_heading")
+    goal_tolerance: Positive = setting(ExplorationScenario, "goal_tolerance")
+    goal_speed: Positive = setting(ExplorationScenario, "goal_speed")
     max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
     hover_time: Wait = setting(ExplorationScenario, "hover_time")
     is_map_known: bool = False
     altitude: Real = setting(Flight, "altitude")
     resolution: Spacing = setting(office, "resolution")
     time_limit: Duration = 900.0
+    target: Literal["coverage", "information", "walls", "never"] | None = setting(
+        ExplorationScenario, "target"
+    )
     target_coverage: Share | None = setting(ExplorationScenario, "target_coverage")
     give_up_after: Duration | None = setting(ExplorationScenario, "give_up_after")
     map_file: MapFileSettings = MapFileSettings()
@@ -260,6 +268,7 @@ class Settings(RunSettings):
     rates: RatesSettings = RatesSettings()
     guard: bool = True
     fleet: FleetSettings | None = None
+    people: PeopleSettings = PeopleSettings()
 
 
 def scenario_path(name: str) -> Path:

@@ -167,6 +167,8 @@ class PathSettings(RunSettings):
     is_closed: bool | None = setting(read_path, "is_closed")
     half_width: Length | None = None
     laps: Laps = setting(PathScenario, "laps")
+    goal_radius: Length = setting(PathScenario, "goal_radius")
+    goal_speed: Positive = setting(PathScenario, "goal_speed")
     time_limit: Duration = 120.0
     control_rate: Rate = setting(PathScenario, "control_rate")
     track: TrackSettings = TrackSettings()

@@ -178,6 +178,7 @@ _CLOSING = Reader(
 )
 _FROM_A_FILE = Reader("paths from a file", lambda settings: settings.path != TRACK)
 _AMONG_OBSTACLES = Reader("runs with obstacles", _has_obstacles)
+_AMONG_PEOPLE = Reader("runs with people", lambda settings: settings.people.number > 0)
 _IN_TRAFFIC = Reader("runs with moving obstacles", lambda settings: settings.obstacles.number > 0)
 
 _DRIVING, _EXPLORING, _FOLLOWING, _CHOOSING = (
@@ -255,6 +256,7 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "localisation.reach": _CLOSING,
         "localisation.least_share": _CLOSING,
         "localisation.tolerance": _CLOSING,
+        **dict.fromkeys(("people.speed", "people.radius", "people.seed"), _AMONG_PEOPLE),
         "watch": Reader("runs with a watch", lambda settings: settings.watch is not None),
         "anomalies": Reader(
             "runs that test for anomalies", lambda settings: settings.anomalies is not None

@@ -12,11 +12,13 @@ from jaxplore.geometry.chassis import Chassis
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
+from jaxplore.sensing.lidar_errors import LidarErrors
 from jaxplore.settings.defaults import in_degrees, setting
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.sections import (
     Beams,
     Body,
+    Fraction,
     Negative,
     NonNegative,
     Positive,
@@ -65,6 +67,9 @@ class RobotSettings(Section):
     max_lateral_speed: Positive | None = setting(Omnidirectional, "max_lateral_speed")
 
 
+TiltDegrees = Annotated[float, Field(ge=-28, le=28)]
+
+
 class ChassisSettings(Section):
     """The wheels and the centre of mass of a vehicle: see `jaxplore.geometry.Chassis`.
 
@@ -82,7 +87,7 @@ class ChassisSettings(Section):
 
 
 class LidarSettings(Section):
-    """A planar lidar: see `jaxplore.Lidar`."""
+    """A planar lidar: see `jaxplore.Lidar` and `jaxplore.sensing.LidarErrors`."""
 
     num_beams: Beams = setting(Lidar, "num_beams")
     max_range: Range = setting(Lidar, "max_range")
@@ -91,6 +96,11 @@ class LidarSettings(Section):
     )
     range_noise: NonNegative = setting(Lidar, "range_noise")
     height: NonNegative = setting(Lidar, "height")
+    least_range: NonNegative = setting(LidarErrors, "least_range")
+    missing: Fraction = setting(LidarErrors, "missing")
+    false_returns: Fraction = setting(LidarErrors, "false_returns")
+    pitch_degrees: TiltDegrees = setting(LidarErrors, "pitch", in_degrees)
+    roll_degrees: TiltDegrees = setting(LidarErrors, "roll", in_degrees)
 
 
 class CameraSettings(Section):

@@ -1,7 +1,7 @@
 """Settings of the exploration of a volume by a quadrotor."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -84,7 +84,8 @@ class GeneratedSettings(Section):
 class VolumeFileSettings(Section):
     """The file of a volume: see `jaxplore.maps.read_volume`."""
 
-    scale: Positive = setting(read_volume, "scale")
+    scale: Positive | None = setting(read_volume, "scale")
+    up: Literal["x", "y", "z"] | None = setting(read_volume, "up")
     is_open: bool = setting(read_volume, "is_open")
     min_points: Samples = setting(read_volume, "min_points")
 
@@ -196,8 +197,8 @@ class VolumeSettings(RunSettings):
 
     Args:
         volume: `forest`, `office3d`, `maze3d`, `cave3d` or `warehouse3d`, which are generated, or a
-            file: a mesh (STL, OBJ, PLY), a point cloud (PCD, PLY), an OctoMap (BT) or an array
-            (NPY, NPZ).
+            file: a mesh (STL, OBJ, PLY, GLB, GLTF, DAE), a point cloud (PLY, PCD, LAS, LAZ), an
+            OctoMap (BT, OT) or an array (NPY, NPZ).
         start: start (x, y, z, yaw) with z up [m, m, m, rad]; generated volumes have their own.
         architecture: `explorer`, `two-layer`, `parallel`, or a rule-based explorer by the name of
             its rule, such as `nearest-cluster`. Or MODULE:NAME of your own, a rule

@@ -144,6 +144,9 @@ def control_step(
         # A command that is not finite is none: the robot's base then brakes.
         is_stopped = watch.stop != GOOD
         control = jnp.where(is_stopped, jnp.nan, control)
+        seen = scenario.scan_points(state.task)
+        args = (start, control, seen, moment.time, scenario.control_period)
+        control = guard.keep_clear(scenario.robot, watch, *args)
         # The controller starts anew from rest: its plan was not executed.
         memory = jax.tree.map(functools.partial(jnp.where, is_stopped), controller.init(), memory)
         watch = guard.sent(scenario.robot, watch, control)

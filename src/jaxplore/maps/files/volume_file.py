@@ -1,232 +1,328 @@
 """Read volumes from files: meshes, point clouds, OctoMaps and arrays, none of which is trusted."""
 
-import io
+import dataclasses
 import math
-import re
-import warnings
+import os
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxplore import _checks, _kinds
-from jaxplore._files import MALFORMED, read_bytes
+from jaxplore._files import open_limited
 from jaxplore._limits import MOST_VOXELS
-from jaxplore._optional import import_optional
 from jaxplore._text import error_reason, printable_path
-from jaxplore.maps.files.npz import MALFORMED_NPZ, read_arrays
-from jaxplore.maps.files.octomap_file import read_octomap
+from jaxplore.maps.datum import ORIGIN, Datum
+from jaxplore.maps.files.mesh_headers import check_header
+from jaxplore.maps.files.mesh_process import KINDS, Geometry, read_geometry
+from jaxplore.maps.files.npz import MALFORMED_NPZ, read_array, read_arrays
+from jaxplore.maps.files.octomap_file import OctoMap
+from jaxplore.maps.files.placing import AXES, place
+from jaxplore.maps.files.voxelise import TOLERANCE, touched_voxels
 from jaxplore.maps.voxel_grid import VoxelGrid
 
 FILE_LIMIT = 500_000_000
 """Largest file of a volume that is read [bytes]."""
-_MOST_FACES = 5_000_000
-"""Greatest number of triangles of a mesh."""
-_VAST = 500.0
-"""Extent from which on a mesh may be in millimetres [m]."""
+MEMORY = 4e9
+"""Memory that reading a file may take where nothing else is said [bytes]."""
+SUFFIXES = (*(f".{kind}" for kind in KINDS), ".bt", ".ot", ".npy", ".npz")
+"""Endings of the files that `read_volume` reads."""
+_MOST_SURFACE = 50_000_000
+"""Greatest surface of a mesh [faces of voxels]: each takes some ten tests."""
+_CLOUDS = ("ply", "pcd", "las", "laz")
+"""Kinds of files that may hold points without faces."""
 
 Points = NDArray[np.float64]
-Solid = NDArray[np.bool_]
+Triple = tuple[float, float, float]
+Refuse = Callable[[str, str], ValueError]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class VolumeFile:
+    """What the file of a volume holds, before its voxels are made.
+
+    Args:
+        shape: voxels along z, y and x.
+        resolution: side of a voxel [m].
+        origin: corner (x, y, z) in the coordinates of the file [m].
+        make: function that makes the solid voxels (D, H, W).
+        name: the file, for messages.
+    """
+
+    shape: tuple[int, int, int]
+    resolution: float
+    origin: Triple
+    make: Callable[[], NDArray[np.bool_]]
+    name: str
+
+    @property
+    def datum(self) -> Datum:
+        """Datum of the volume: (0, 0), or its corner in whole metres if that is far away."""
+        return Datum.near(*self.origin[:2], name=f"{self.name}: origin")
+
+    def grid(self, datum: Datum = ORIGIN) -> VoxelGrid:
+        """Make the true world, relative to a datum.
+
+        Raises:
+            ValueError: a volume that is far from the datum.
+        """
+        origin = datum.to_local(np.array(self.origin))
+        return VoxelGrid.solid(self.make(), self.resolution, origin.tolist())
 
 
 def read_volume(
     path: str | PathLike[str],
     *,
     resolution: float = 0.1,
-    scale: float = 1.0,
+    scale: float | None = None,
+    up: str | None = None,
     is_open: bool = False,
     min_points: int = 1,
+    datum: Datum = ORIGIN,
 ) -> VoxelGrid:
     """Read the true world of a volume from a file.
 
-    - `.stl`, `.obj`, `.ply`: a mesh, whose surface is solid (`pip install '.[volumes]'`).
-    - `.ply` without faces, `.pcd`: a point cloud; a voxel with some points in it is solid.
-    - `.bt`: an OctoMap; its occupied voxels are solid, and unknown ones, too.
+    - `.stl`, `.obj`, `.ply`, `.glb`, `.gltf`, `.dae`: a mesh. Voxels that its triangles touch are
+      solid (`pip install '.[volumes]'`).
+    - `.ply` without faces, `.pcd`, `.las`, `.laz`: a point cloud; a voxel with some points in it is
+      solid (likewise).
+    - `.bt`, `.ot`: an OctoMap; its occupied voxels are solid, and unknown ones, too.
     - `.npy`: an array (D, H, W) of booleans, along z, y and x, true where it is solid; `.npz`: the
       same as `solid`, with `resolution` and `origin` beside it if there are.
 
-    The volume is the box around what the file has. Beyond it nothing is free.
+    The volume is the box around what the file has. Beyond it nothing is free. Unit and up axis of a
+    mesh or a point cloud are what is given, else what the file says, else a guess from its extents.
+    A guess is warned of. A mesh or a cloud with another axis up is turned: with y up, (x, y, z) of
+    the file becomes (x, -z, y).
 
     Args:
         path: path of the file.
         resolution: side of a voxel [m]. An OctoMap and an `.npz` with a resolution have their own.
         scale: metres in a unit of the file, 0.001 for millimetres; of meshes and point clouds.
+        up: axis of the file that is up, x, y or z; of meshes and point clouds.
         is_open: whether a mesh may be open.
         min_points: points that make a voxel solid.
+        datum: point to which the volume is relative; see `volume_datum`.
 
     Raises:
         ValueError: a file that is missing, too large, malformed or of another kind; a mesh that is
-            empty, open or has too many faces; a volume with too many voxels.
+            empty, open or has too many faces; a volume with too many voxels, or far from the datum.
+    """
+    _kinds.instance("datum", datum, Datum)
+    opened = open_volume(
+        path,
+        resolution=resolution,
+        scale=scale,
+        up=up,
+        is_open=is_open,
+        min_points=min_points,
+    )
+    return opened.grid(datum)
+
+
+def volume_datum(
+    path: str | PathLike[str],
+    *,
+    resolution: float = 0.1,
+    scale: float | None = None,
+    up: str | None = None,
+    is_open: bool = False,
+) -> Datum:
+    """Return the datum for a volume: (0, 0), or its corner in whole metres if that is far away.
+
+    The file is read for it. Arguments and errors are those of `read_volume`.
+
+    Args:
+        path: path of the file.
+        resolution: side of a voxel [m].
+        scale: metres in a unit of the file.
+        up: axis of the file that is up.
+        is_open: whether a mesh may be open.
+
+    Raises:
+        ValueError: as of `read_volume`, and a corner beyond 1e9 m.
+    """
+    opened = open_volume(path, resolution=resolution, scale=scale, up=up, is_open=is_open)
+    return opened.datum
+
+
+def open_volume(
+    path: str | PathLike[str],
+    *,
+    resolution: float = 0.1,
+    scale: float | None = None,
+    up: str | None = None,
+    is_open: bool = False,
+    min_points: int = 1,
+    memory: float = MEMORY,
+) -> VolumeFile:
+    """Read the file of a volume, and make no voxels yet.
+
+    Args:
+        path: path of the file.
+        resolution: as of `read_volume`.
+        scale: likewise.
+        up: likewise.
+        is_open: likewise.
+        min_points: likewise.
+        memory: memory that reading the file may take [bytes].
+
+    Raises:
+        ValueError: as of `read_volume`, and a file that needs more memory.
     """
     _kinds.instance("path", path, str, PathLike)
     _kinds.flag("is_open", is_open)
     file = Path(path)
     side = _checks.number("resolution", resolution, above=0.0)
-    factor = _checks.number("scale", scale, above=0.0)
+    factor = None if scale is None else _checks.number("scale", scale, above=0.0)
+    if up is not None and up not in AXES:
+        raise ValueError(f"up is {up!r}; accepted: {', '.join(AXES)}, or None for a guess")
     least = _checks.positive_int("min_points", min_points)
-    kind = file.suffix.lower()
-    name = printable_path(file)
-    if kind not in SUFFIXES:
+    kind, name = file.suffix.lower()[1:], printable_path(file)
+    if f".{kind}" not in SUFFIXES:
         raise ValueError(f"path is {name!r}, which is no volume; accepted: {', '.join(SUFFIXES)}")
-    data = read_bytes(file, "a volume", FILE_LIMIT, f"volume {name} cannot be read: it")
 
     def refuse(why: str, accepted: str) -> ValueError:
         return ValueError(f"volume {name} {why}; accepted: {accepted}")
 
-    try:
-        if kind in (".npy", ".npz"):
-            return _from_arrays(data, kind, side)
-        if kind == ".bt":
-            solid, own, origin = read_octomap(data, MOST_VOXELS)
-            return VoxelGrid.solid(solid, own, origin)
-    except MALFORMED_NPZ as error:
-        raise refuse(f"is malformed: {error_reason(error)}", "a whole file of its kind") from None
-    if kind == ".pcd":
-        return _from_points(_pcd_points(data, refuse), side, factor, least, refuse)
-    mesh = _mesh(data, kind, refuse)
-    if len(getattr(mesh, "faces", ())) == 0:
-        points = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64)
-        if kind != ".ply":
-            raise refuse("has no faces", "a mesh of triangles")
-        return _from_points(points, side, factor, least, refuse)
-    edges = np.sort(np.asarray(mesh.edges), axis=1)
-    _, counts = np.unique(edges, axis=0, return_counts=True)
-    # Where bodies touch, an edge belongs to four faces: that is no hole.
-    number = np.count_nonzero(counts % 2)
-    if number and not is_open:
+    with open_limited(file, "a volume", FILE_LIMIT, f"volume {name} cannot be read: it") as opened:
+        if kind in ("npy", "npz"):
+            return _array_volume(opened, kind, side, name, refuse)
+        if kind in ("bt", "ot"):
+            return _octomap_volume(opened, memory, name, refuse)
+        try:
+            check_header(opened, kind)
+            geometry = read_geometry(opened, kind, memory)
+        except ValueError as error:
+            raise refuse(f"cannot be read: {error}", f"a whole .{kind} file") from None
+    return _geometry_volume(geometry, kind, side, factor, up, is_open, least, name, refuse)
+
+
+def _geometry_volume(
+    geometry: Geometry,
+    kind: str,
+    side: float,
+    scale: float | None,
+    up: str | None,
+    is_open: bool,
+    min_points: int,
+    name: str,
+    refuse: Refuse,
+) -> VolumeFile:
+    """Return the volume of a mesh or a point cloud."""
+    corners, faces = geometry.corners, geometry.faces
+    is_cloud = not len(faces)
+    if is_cloud and kind not in _CLOUDS:
+        raise refuse("has no faces", "a mesh of triangles")
+    if is_cloud:
+        geometry = geometry._replace(corners=corners[np.isfinite(corners).all(axis=1)])
+    elif not np.isfinite(corners).all():
+        raise refuse("has corners that are not finite", "finite numbers")
+    elif geometry.num_open and not is_open:
         raise refuse(
-            f"is open: {number} edges belong to one face",
+            f"is open: {geometry.num_open} edges belong to one face",
             "a closed mesh, or file.is_open=true",
         )
-    return _from_mesh(mesh, side, factor, name, refuse)
-
-
-Refuse = Callable[[str, str], ValueError]
-
-
-def _mesh(data: bytes, kind: str, refuse: Refuse) -> Any:
-    """Return what trimesh reads: one mesh or one point cloud."""
-    trimesh = import_optional("trimesh", "volumes")
-    try:
-        # What an OBJ names beside itself, such as materials, is not looked for.
-        found = trimesh.load(
-            io.BytesIO(data), file_type=kind[1:], process=True, skip_materials=True, resolver=None
-        )
-        if isinstance(found, trimesh.Scene):
-            found = found.to_mesh()
-        size = len(getattr(found, "faces", ()))
-    except MALFORMED as error:
-        raise refuse(f"cannot be read: {error_reason(error)}", f"a {kind} file") from None
-    if size > _MOST_FACES:
-        raise refuse(f"has {size} faces", f"at most {_MOST_FACES}")
-    return found
-
-
-def _from_mesh(mesh: Any, side: float, factor: float, name: str, refuse: Refuse) -> VoxelGrid:
-    """Return the voxels that the surface of a mesh touches."""
-    corners = np.asarray(mesh.vertices, np.float64) * factor
-    if not np.isfinite(corners).all():
-        raise refuse("has corners that are not finite", "finite numbers")
-    origin, shape = _box(corners, side, refuse)
-    extent = np.ptp(corners, axis=0)
-    if factor == 1.0 and extent.max() > _VAST:
-        x, y, z = extent
-        warnings.warn(
-            f"volume {name} is {x:g} m x {y:g} m x {z:g} m; if its unit is the millimetre, "
-            "file.scale=0.001",
-            UserWarning,
-            stacklevel=3,
-        )
-    if float(mesh.area) * factor**2 / side**2 > MOST_VOXELS:
-        raise refuse(f"has more than {MOST_VOXELS} voxels of surface", "a greater resolution")
-    subdivide = import_optional("trimesh.remesh", "volumes").subdivide_to_size
-    # Triangles with sides below half a voxel leave no voxel between their corners out.
-    points, _ = subdivide(
-        corners,
-        np.asarray(mesh.faces),
-        max_edge=0.5 * side,
-        max_iter=40,
-    )
-    return VoxelGrid.solid(_counted(points, origin, shape, side) > 0, side, origin)
-
-
-def _from_points(
-    points: Points, side: float, factor: float, least: int, refuse: Refuse
-) -> VoxelGrid:
-    """Return the voxels with points in them."""
-    points = points[np.isfinite(points).all(axis=1)] * factor
-    if not len(points):
+    if not len(geometry.corners):
         raise refuse("has no points", "a point cloud")
-    origin, shape = _box(points, side, refuse)
-    return VoxelGrid.solid(_counted(points, origin, shape, side) >= least, side, origin)
+    points = place(geometry, scale, up, name)
+    low, shape = _box(points, side, refuse)
+    # In voxels, relative to the corner: far from the origin too, only small numbers are rounded.
+    points -= low
+    points /= side
+    if is_cloud:
+        return VolumeFile(shape, side, low, lambda: _counted(points, shape) >= min_points, name)
+    surface = len(faces) + _area(points, faces)
+    if not surface <= _MOST_SURFACE:
+        raise refuse(
+            f"has a surface of {surface:.3g} voxels of {side:g} m",
+            f"at most {_MOST_SURFACE:.3g}: a greater resolution",
+        )
+    return VolumeFile(shape, side, low, lambda: touched_voxels(points, faces, shape), name)
 
 
-def _box(
-    points: Points, side: float, refuse: Refuse
-) -> tuple[tuple[float, float, float], tuple[int, int, int]]:
+def _area(corners: Points, faces: NDArray[np.int32]) -> float:
+    """Return the area of all triangles together."""
+    total = 0.0
+    for begin in range(0, len(faces), 1 << 16):
+        first, second, third = np.moveaxis(corners[faces[begin : begin + (1 << 16)]], 1, 0)
+        total += 0.5 * float(np.linalg.norm(np.cross(second - first, third - first), axis=1).sum())
+    return total
+
+
+def _box(points: Points, side: float, refuse: Refuse) -> tuple[Triple, tuple[int, int, int]]:
     """Return the corner (x, y, z) of the box around points [m], and its voxels (D, H, W)."""
-    low = np.floor(points.min(axis=0) / side + 1e-6) * side
+    first, last = points.min(axis=0), points.max(axis=0)
+    low = np.floor(first / side + TOLERANCE) * side
     # A point on the last face belongs to the last voxel.
-    sizes = np.maximum(1.0, np.ceil((points.max(axis=0) - low) / side - 1e-6))
-    if sizes.prod() > MOST_VOXELS:
+    sizes = np.maximum(1.0, np.ceil((last - low) / side - TOLERANCE))
+    if not sizes.prod() <= MOST_VOXELS:
         x, y, z = sizes * side
         raise refuse(
             f"is {x:g} m x {y:g} m x {z:g} m, which are {sizes.prod():.3g} voxels of {side:g} m",
             f"at most {MOST_VOXELS:.3g}: a greater resolution, or file.scale=0.001 for millimetres",
         )
     width, height, depth = (int(each) for each in sizes)
-    return (float(low[0]), float(low[1]), float(low[2])), (depth, height, width)
+    x, y, z = low.tolist()
+    return (x, y, z), (depth, height, width)
 
 
-def _counted(
-    points: Points, origin: tuple[float, float, float], shape: tuple[int, int, int], side: float
-) -> NDArray[np.int64]:
+def _counted(points: Points, shape: tuple[int, int, int]) -> NDArray[np.int32]:
     """Return the number of points in each voxel (D, H, W)."""
-    voxels = np.floor((points - origin) / side + 1e-6).astype(np.int64)[:, ::-1]
-    voxels = np.clip(voxels, 0, np.array(shape) - 1)
-    flat = np.ravel_multi_index(tuple(voxels.T), shape)
-    return np.bincount(flat, minlength=math.prod(shape)).reshape(shape)
+    number = np.zeros(shape, np.int32)
+    top = np.array(shape) - 1
+    for begin in range(0, len(points), 1 << 20):
+        part = np.floor(points[begin : begin + (1 << 20), ::-1] + TOLERANCE).astype(np.int64)
+        np.add.at(number, tuple(np.clip(part, 0, top).T), 1)
+    return number
 
 
-def _pcd_points(data: bytes, refuse: Refuse) -> Points:
-    """Return the points (N, 3) of a PCD file."""
-    cloud = import_optional("pypcd4", "volumes").PointCloud
-    # A header may promise more points than there is memory for.
-    header = re.search(rb"^POINTS\s+(\d{1,12})\s*$", data[:10_000], re.MULTILINE)
-    if header is None or int(header[1]) > len(data):
-        raise refuse("has no header with a number of points that fits", "a PCD file")
+def _octomap_volume(file: BinaryIO, memory: float, name: str, refuse: Refuse) -> VolumeFile:
     try:
-        return np.asarray(cloud.from_fileobj(io.BytesIO(data)).numpy(("x", "y", "z")), np.float64)
-    except (*MALFORMED, OSError, EOFError) as error:
-        raise refuse(f"cannot be read: {error_reason(error)}", "a PCD file with x, y, z") from None
+        octomap = OctoMap(file.read(), memory)
+    except ValueError as error:
+        raise refuse(f"is malformed: {error_reason(error)}", "a whole OctoMap") from None
+    _check_voxels(octomap.shape, refuse)
+    return VolumeFile(octomap.shape, octomap.resolution, octomap.origin, octomap.solid, name)
 
 
-def _from_arrays(data: bytes, kind: str, side: float) -> VoxelGrid:
-    def check(name: str, shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> None:
-        if math.prod(shape) > MOST_VOXELS:
-            raise ValueError(f"{name} has shape {shape}, more than {MOST_VOXELS} voxels")
+def _array_volume(file: BinaryIO, kind: str, side: float, name: str, refuse: Refuse) -> VolumeFile:
+    def check(what: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        if what == "solid":
+            if dtype != np.bool_ or len(shape) != 3 or 0 in shape:
+                raise ValueError(f"solid has shape {shape} and type {dtype}, not (D, H, W) of bool")
+            _check_voxels(shape, refuse)
+        elif dtype.kind not in "fiu" or dtype.itemsize > 8 or math.prod(shape) not in (1, 3):
+            raise ValueError(f"{what} has shape {shape} and type {dtype}")
 
-    if kind == ".npz":
-        arrays = read_arrays(data, check)
-        if "solid" not in arrays:
-            raise ValueError(f"it has {', '.join(arrays) or 'nothing'} and no solid")
-        side = float(arrays.get("resolution", np.asarray(side)))
-        origin = np.asarray(arrays.get("origin", np.zeros(3)), np.float64)
-        return VoxelGrid.solid(arrays["solid"], side, origin.tolist())
-    file = io.BytesIO(data)
-    version = np.lib.format.read_magic(file)
-    read = (
-        np.lib.format.read_array_header_1_0
-        if version == (1, 0)
-        else np.lib.format.read_array_header_2_0
-    )
-    shape, _, dtype = read(file)
-    check("the array", shape, dtype)
-    return VoxelGrid.solid(np.load(io.BytesIO(data), allow_pickle=False), side)
+    origin = (0.0, 0.0, 0.0)
+    try:
+        if kind == "npy":
+            solid = read_array(file, "solid", check, os.fstat(file.fileno()).st_size)
+        else:
+            arrays = read_arrays(file.read(), check, ("solid", "resolution", "origin"))
+            if "solid" not in arrays:
+                raise ValueError("it has no solid")
+            solid = arrays["solid"]
+            side = _checks.number("resolution", arrays.get("resolution", side), above=0.0)
+            corner = np.asarray(arrays.get("origin", origin), np.float64)
+            if corner.shape != (3,) or not np.isfinite(corner).all():
+                raise ValueError(f"origin is {corner.tolist()}, not three finite numbers")
+            x, y, z = corner.tolist()
+            origin = (x, y, z)
+    except MALFORMED_NPZ as error:
+        raise refuse(
+            f"is malformed: {error_reason(error)}", "a whole file of its kind with booleans"
+        ) from None
+    depth, height, width = solid.shape
+    return VolumeFile((depth, height, width), side, origin, lambda: solid, name)
 
 
-SUFFIXES = (".stl", ".obj", ".ply", ".pcd", ".bt", ".npy", ".npz")
-"""Endings of the files that `read_volume` reads."""
+def _check_voxels(shape: tuple[int, ...], refuse: Refuse) -> None:
+    if math.prod(shape) > MOST_VOXELS:
+        raise refuse(
+            f"has {' x '.join(map(str, shape))} voxels", f"at most {MOST_VOXELS:.3g} voxels"
+        )

@@ -15,6 +15,7 @@ from jaxplore.costs.heading_for import ToGoalCost
 from jaxplore.costs.localisation import CertainInformationCost, UncertaintyCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.costs.terrain import StabilityCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.uncertain import UncertainRobot
@@ -24,6 +25,10 @@ from jaxplore.planning.presets.sampling import sampling
 TIPPING = 100.0
 """Cost of a step at which a wheel leaves the ground, in units of the obstacles' weight: that of
 being 5 cm too close to one."""
+
+HIDDEN = 10.0
+"""Cost of a step that is 1 m/s too fast for what may come out of hiding, in units of the obstacles'
+weight. Over a horizon of 2 s it is as much as 1 m of guidance."""
 
 
 def explorer(
@@ -45,6 +50,7 @@ def explorer(
     control_weight: ArrayLike = 0.01,
     has_moving_obstacles: bool = False,
     moving_obstacle_cost: MovingObstacleCost | None = None,
+    occlusion_cost: OcclusionCost | None = None,
     chassis: Chassis | None = None,
     uncertain: UncertainRobot | None = None,
     uncertainty_weight: ArrayLike = 0.0,
@@ -88,6 +94,8 @@ def explorer(
             times a `MovingObstacleCost` applies; without it the robot sees them as parts of the map
             only, where they were.
         moving_obstacle_cost: that cost; `MovingObstacleCost()` when absent.
+        occlusion_cost: cost of driving fast past places that can hide somebody, to which 10 times
+            `obstacle_weight` applies; for a belief with tracks. None for none.
         chassis: chassis of a vehicle that can tip over, to which 100 times `obstacle_weight` a
             `StabilityCost` applies: tipping over costs as much per step as being 5 cm too close to
             an obstacle.
@@ -112,6 +120,9 @@ def explorer(
     if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
         moving = MovingObstacleCost() if moving_obstacle_cost is None else moving_obstacle_cost
         obstacles = obstacles + weight * moving
+    _kinds.instance("occlusion_cost", occlusion_cost, OcclusionCost, may_be_none=True)
+    if occlusion_cost is not None:
+        obstacles = obstacles + (HIDDEN * weight) * occlusion_cost
     if chassis is not None:
         obstacles = obstacles + (TIPPING * weight) * StabilityCost(chassis)
     uncertainty = _checks.scalar("uncertainty_weight", uncertainty_weight, at_least=0.0)

@@ -21,6 +21,7 @@ from jaxplore.costs.exploration import GuidanceCost, InformationCost
 from jaxplore.costs.heading_for import RegionCost, ToGoalCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.costs.terrain import StabilityCost, TerrainCost, TraversabilityCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.chassis import Chassis
@@ -71,12 +72,14 @@ class Mission(NamedTuple):
         has_terrain: whether the ground has slopes or rough parts.
         has_moving_obstacles: whether there are moving obstacles.
         chassis: chassis of a vehicle that can tip over; None if it cannot.
+        occlusion_cost: cost of driving fast past places that can hide somebody; None for none.
     """
 
     goal: Vector | None = None
     has_terrain: bool = False
     has_moving_obstacles: bool = False
     chassis: Chassis | None = None
+    occlusion_cost: OcclusionCost | None = None
 
 
 def objectives(
@@ -90,7 +93,7 @@ def objectives(
     | goal | `ToGoalCost`; without a goal `GuidanceCost` | always |
     | safety | `ObstacleCost` without its hard part | always |
     | terrain | `TerrainCost` + `TraversabilityCost` | on terrain |
-    | movers | `MovingObstacleCost` without its collision term | with moving obstacles |
+    | movers | `MovingObstacleCost` without collisions, `OcclusionCost` | if something moves |
     | effort | `ControlCost` | always |
 
     Without a goal, the exploiter is guided to the remaining information that is known.
@@ -112,6 +115,8 @@ def objectives(
         chosen["terrain"] = TerrainCost() + TraversabilityCost()
     if mission.has_moving_obstacles:
         chosen["movers"] = MovingObstacleCost(collision=None)
+        if mission.occlusion_cost is not None:
+            chosen["movers"] = chosen["movers"] + mission.occlusion_cost
     chosen["effort"] = ControlCost()
     return chosen
 

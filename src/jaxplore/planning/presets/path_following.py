@@ -15,7 +15,13 @@ from jaxplore.control.weighting import Weighting
 from jaxplore.costs.base import Cost, check_cost
 from jaxplore.costs.comfort import ComfortCost
 from jaxplore.costs.moving import MovingObstacleCost
-from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost, ProgressCost
+from jaxplore.costs.path_following import (
+    ContouringCost,
+    CorridorCost,
+    LagCost,
+    ProgressCost,
+    StopCost,
+)
 from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
@@ -182,7 +188,9 @@ def mpcc(
 
         J = sum over t of w_c e_c^2 + w_l e_l^2 - w_p dt phi_rate
                           + w_a [(|a_lat| - max_lateral)_+^2 + (|a_lon| - max_longitudinal)_+^2]
-                          + corridor + other
+                          + w_p dt stop + corridor + other
+
+    On an open path the robot comes to rest at the end and in cusps (`StopCost`).
 
     The defaults are those of `jaxplore run path`: a car of F1TENTH's size on a track. Where there
     are obstacles, `other` is `avoidance_cost()`.
@@ -250,6 +258,10 @@ def mpcc(
     total = total + _checks.scalar("lag_weight", lag_weight, at_least=0.0) * lag
     # The progress is a rate. Times the step, its sum is the distance along the path in metres.
     total = total + (gain * step) * ProgressCost()
+    if not path.is_closed:
+        # A car drives backwards if it can; a robot that turns on the spot does so.
+        reverses = robot.can_reverse and bool(robot.turning_radius > 0.0)
+        total = total + (gain * step) * StopCost(path, faces=not reverses)
     if path.has_room if corridor is None else corridor:
         keep = CorridorCost(path, margin=corridor_margin)
         keep.check(robot)

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import functools
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -20,6 +21,7 @@ from jaxplore._types import (
     Scalar,
     StateVector,
 )
+from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.control.base import Controller, Info, ModelBasedController, SampledPlan
 from jaxplore.control.model_checks import checked_call
@@ -147,7 +149,13 @@ class TargetController(Controller):
         _kinds.instance("belief", belief, self.belief_type)
         choice_key, control_key = jax.random.split(key)
         state = self._choose_if_due(state, observation, belief, choice_key)
-        return state, dataclasses.replace(belief, guidance=state.guidance), control_key
+        guidance = state.guidance
+        if isinstance(belief, Belief) and belief.goal is not None and belief.to_goal is None:
+            # Where only the goal is left, the way there counts, not a target of the rule.
+            guidance = jax.tree.map(
+                functools.partial(jnp.where, belief.is_explored), belief.guidance, guidance
+            )
+        return state, dataclasses.replace(belief, guidance=guidance), control_key
 
     def _choose_if_due(
         self, state: TargetState, observation: StateVector, belief: Any, key: Key

@@ -152,6 +152,7 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
         is_found = found_at(recording.anomalies) <= frame.time
         draw_targets(canvas, draw, middles(recording.anomalies), is_found, ALARM)
     _draw_moving_obstacles(canvas, frame, draw)
+    _draw_tracks(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
         _draw_dashes(canvas, draw, frame.reference)
@@ -175,6 +176,17 @@ def _draw_moving_obstacles(
             reach = max(radius * canvas.scale, 3.0 * canvas.unit)
             box = (x - reach, y - reach, x + reach, y + reach)
             draw.ellipse(box, MOVER, MOVER_EDGE, round(1.5 * canvas.unit))
+
+
+def _draw_tracks(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
+    """Draw a ring around what the robot tracks, and a line to where it would be in a second."""
+    reach = max(0.4 * canvas.scale, 5.0 * canvas.unit)
+    for way in frame.tracks:
+        if np.isfinite(way).all():
+            (x, y), ahead = (canvas.pixels(place).tolist() for place in way)
+            width = round(1.5 * canvas.unit)
+            draw.line((x, y, *ahead), MOVER_EDGE, width)
+            draw.ellipse((x - reach, y - reach, x + reach, y + reach), None, MOVER_EDGE, width)
 
 
 def _draw_dashes(canvas: Canvas, draw: ImageDraw.ImageDraw, points: np.ndarray) -> None:

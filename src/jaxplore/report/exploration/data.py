@@ -182,6 +182,8 @@ class ExplorationFrame(Frame):
             detected, (0, 0) without a detector.
         terms: value of each cost term for the nominal trajectory.
         sample_terms: cost of each term of the rollouts (N,), by name; empty if they are not known.
+        tracks: (N, 2, 2) places of what the robot tracks, now and in a second [m]; NaN for unused
+            tracks, (0, 2, 2) without a tracker.
     """
 
     state: np.ndarray
@@ -198,8 +200,9 @@ class ExplorationFrame(Frame):
     terms: dict[str, float]
     sample_terms: dict[str, np.ndarray]
     classes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    tracks: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2, 2)))
 
-    places = ("scan", "samples", "plan", "reference", "movers")
+    places = ("scan", "samples", "plan", "reference", "movers", "tracks")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
@@ -226,6 +229,7 @@ class ExplorationData(RunData):
         state_names: names of the components of the robot's state.
         robot_radius: radius of the robot [m].
         target_coverage: coverage at which exploration is finished; None if it never is.
+        target: what the exploration ends by: coverage, information, walls or never.
         footprint: (4, 2) corners of a robot that is a rectangle, in its own frame [m]; (0, 2) of a
             disc.
         targets: (M, 2) positions of the targets [m].
@@ -270,6 +274,7 @@ class ExplorationData(RunData):
     objects: ObjectData | None = None
     given_up_step: int | None = None
     localisation: LocalisationData | None = None
+    target: str = "coverage"
 
     def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that are or have positions, with an offset (2,) [m] added."""

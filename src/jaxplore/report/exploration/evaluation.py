@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from jaxplore.control.guard import REASONS
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
 from jaxplore.report._numbers import finite
 from jaxplore.report.exploration.anomalies import anomaly_metrics
 from jaxplore.report.exploration.data import ExplorationData, ExplorationRecord
@@ -58,6 +59,8 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         given_up_at=None if given_up is None else given_up * period,
         coverage=float(coverage[-1]),
         target_coverage=recording.target_coverage,
+        target=recording.target,
+        walls_seen=_walls_seen(recording),
         time_to={name: None if k is None else k * period for name, k in reached.items()},
         path_to={name: None if k is None else float(path[k]) for name, k in reached.items()},
         path_length=float(path[-1]),
@@ -127,10 +130,25 @@ def _finished_at(recording: ExplorationData, coverage: float) -> float | None:
     if recording.finished_step is not None:
         return recording.finished_step * recording.control_period
     target = recording.target_coverage
-    if recording.goal is not None or len(recording.targets) or target is None:
+    is_judged = recording.target == "coverage" and target is not None
+    if recording.goal is not None or len(recording.targets) or not is_judged:
         return None
     # A run that begins at the target coverage takes no step.
     return 0.0 if coverage >= np.float32(target) and recording.num_steps == 0 else None
+
+
+def _walls_seen(recording: ExplorationData) -> float | None:
+    """Return the share of the wall cells beside the free space of the start that are on the map."""
+    import scipy.ndimage  # slow to import, and few need it
+
+    if recording.localisation is not None:
+        return None  # its map is moved against the true one
+    free = recording.world < FREE_THRESHOLD
+    labels, _ = scipy.ndimage.label(free)
+    room = np.isin(labels, np.unique(labels[recording.reachable & free]))
+    walls = scipy.ndimage.binary_dilation(room) & (recording.world > OCCUPIED_THRESHOLD)
+    number = int(walls.sum())
+    return None if number == 0 else float((recording.belief > OCCUPIED_THRESHOLD)[walls].mean())
 
 
 def _goal_distance(recording: ExplorationData) -> float | None:

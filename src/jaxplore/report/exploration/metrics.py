@@ -18,6 +18,10 @@ class ExplorationMetrics(Metrics):
     Args:
         coverage: share of the reachable cells that are known to be free at the end.
         target_coverage: coverage at which exploration is finished; None if it never is.
+        target: what the exploration ends by: the coverage, the information that the robot can
+            still get, the walls of its map, or never.
+        walls_seen: share of the true wall cells around the free space of the start that the robot's
+            map shows at the end; None where the robot takes itself to be elsewhere.
         given_up_at: time at which it was given up, because nothing new was seen [s]; None if it was
             not.
         time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
@@ -103,6 +107,8 @@ class ExplorationMetrics(Metrics):
 
     coverage: float
     target_coverage: float | None
+    target: str
+    walls_seen: float | None
     time_to: dict[str, float | None]
     path_to: dict[str, float | None]
     path_length: float
@@ -245,7 +251,10 @@ class ExplorationMetrics(Metrics):
         """Return the main metrics as (name, text), for tables."""
         # A patrol has no end, so it can be neither finished nor unfinished.
         ends = (
-            self.target_coverage is not None or self.num_targets or self.goal_distance is not None
+            self.target_coverage is not None
+            or self.target in ("information", "walls")
+            or self.num_targets
+            or self.goal_distance is not None
         )
         end = ", finished" if self.is_finished else ", not finished" if ends else ""
         if self.given_up_at is not None:
@@ -301,7 +310,10 @@ class ExplorationMetrics(Metrics):
     def _coverage_rows(self, end: str) -> list[tuple[str, str]]:
         if self.is_map_known:
             return [("map", f"{self.reachable_area:.1f} m², known in advance{end}")]
-        return [("coverage", f"{percent(self.coverage)} of {self.reachable_area:.1f} m²{end}")]
+        rows = [("coverage", f"{percent(self.coverage)} of {self.reachable_area:.1f} m²{end}")]
+        if self.walls_seen is not None:
+            rows.append(("walls", f"{percent(self.walls_seen)} of the cells seen"))
+        return rows
 
     def _level_rows(self) -> list[tuple[str, str]]:
         if self.is_map_known:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Key, Position, Scalar, StateVector
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
@@ -152,8 +152,9 @@ class WaypointMode(ActionMode):
         sin, cos = sin_cos(pose[2])
         offset = jnp.stack([cos * ahead - sin * left, sin * ahead + cos * left])
         # The field has the parameters of the belief's guidance, so costs read both alike.
-        way = perception.way_to(pose[:2] + offset, belief.grid, pose)
-        return WaypointController(self.drive, way)
+        waypoint = pose[:2] + offset
+        way = perception.way_to(waypoint, belief.grid, pose)
+        return WaypointController(self.drive, way, waypoint)
 
     def at_period(self, control_period: ArrayLike) -> "WaypointMode":
         """Return this mode for commands that are `control_period` seconds apart."""
@@ -200,10 +201,12 @@ class WaypointController(Controller):
     Args:
         drive: wrapped controller.
         way: cost to go to the waypoint [m], which replaces `Belief.to_goal`.
+        waypoint: position (x, y) of the waypoint [m], which replaces `Belief.goal`.
     """
 
     drive: Controller
     way: GuidanceField
+    waypoint: Position
 
     def init(self) -> Any:
         """Return the state of the controller before the first step."""
@@ -213,7 +216,7 @@ class WaypointController(Controller):
         self, state: Any, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, Any, Info]:
         """Return the control, the controller's new state and its diagnostics."""
-        guided = dataclasses.replace(belief, to_goal=self.way)
+        guided = self._guided(belief)
         return self.drive.step(state, observation, guided, key=key)
 
     def inspect(
@@ -226,11 +229,14 @@ class WaypointController(Controller):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return the sampled plan of `step` with the same arguments."""
-        guided = dataclasses.replace(belief, to_goal=self.way)
+        guided = self._guided(belief)
         return self.drive.inspect(
             state, observation, guided, key=key, num_trajectories=num_trajectories
         )
 
     def at_period(self, control_period: ArrayLike) -> "WaypointController":
         """Return this controller for commands that are `control_period` seconds apart."""
-        return WaypointController(self.drive.at_period(control_period), self.way)
+        return WaypointController(self.drive.at_period(control_period), self.way, self.waypoint)
+
+    def _guided(self, belief: Any) -> Any:
+        return dataclasses.replace(belief, to_goal=self.way, goal=self.waypoint, goal_heading=None)

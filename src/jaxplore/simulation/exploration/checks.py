@@ -12,6 +12,7 @@ from jaxplore._xla import on_device
 from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.goal_check import GoalCheck
 from jaxplore.maps.datum import Datum
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
@@ -95,30 +96,19 @@ def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid, datum: Datum
             )
 
 
-def checked_end(
-    goal_radius: ArrayLike | None, max_unknown: ArrayLike | None, is_apart: bool
-) -> tuple[Scalar, Scalar]:
-    """Check the numbers of the end at a goal, or choose them.
+def checked_unknown(max_unknown: ArrayLike | None, *, is_apart: bool) -> Scalar:
+    """Check the share of unknown cells below which a map is explored, or choose it.
 
     Args:
-        goal_radius: distance at which the goal is reached [m]; chosen when absent.
-        max_unknown: share of unknown cells below which the map is explored; chosen when absent.
+        max_unknown: the share; chosen when absent.
         is_apart: whether the goal has a cost-to-go of its own.
 
-    Returns:
-        The distance and the share.
-
     Raises:
-        ValueError: a radius that is not positive, a share outside [0, 1].
+        ValueError: a share outside [0, 1].
     """
-    if goal_radius is None:
-        goal_radius = 0.25 if is_apart else 1.5
     if max_unknown is None:
         max_unknown = 1.0 if is_apart else MAX_UNKNOWN
-    return (
-        _checks.scalar("goal_radius", goal_radius, above=0.0),
-        _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0),
-    )
+    return _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
 
 
 def checked_coverage(target_coverage: ArrayLike | None) -> Scalar:
@@ -156,7 +146,7 @@ def checked_perception(
     world: OccupancyGrid,
     robot: Dynamics,
     ground: Ground | None,
-    goal: Position | None,
+    check: GoalCheck | None,
     max_unknown: Scalar,
     *,
     is_localising: bool,
@@ -169,30 +159,36 @@ def checked_perception(
         world: true map.
         robot: model of the robot.
         ground: ground of the map's cells; None if it is level.
-        goal: goal position (x, y) [m]; None without one.
+        check: check of the goal; None without one.
         max_unknown: share of unknown cells below which the map is explored.
         is_localising: whether the robot estimates its pose.
 
     Raises:
-        ValueError: another goal, range, resolution or ground.
+        ValueError: another goal or heading there, range, resolution or ground.
     """
+    goal, heading = (None, None) if check is None else (check.position, check.heading)
     if perception is None:
         return Perception(
             sensors,
             world.resolution,
             robot.radius,
             goal=goal,
+            goal_heading=heading,
             max_unknown=max_unknown,
             ground=ground,
             car=car_motion(robot),
             is_localising=is_localising,
         )
     # Arrays compare element by element, so their values are compared as lists.
-    goals = [None if each is None else each.tolist() for each in (perception.goal, goal)]
-    if goals[0] != goals[1]:
-        raise ValueError(
-            f"perception has the goal {goals[0]}; accepted: the scenario's, {goals[1]}"
-        )
+    for name, own, given in (
+        ("goal", perception.goal, goal),
+        ("goal_heading", perception.goal_heading, heading),
+    ):
+        values = [None if each is None else each.tolist() for each in (own, given)]
+        if values[0] != values[1]:
+            raise ValueError(
+                f"perception has the {name} {values[0]}; accepted: the scenario's, {values[1]}"
+            )
     ranges, known = (
         [sensor.max_range for sensor in each] for each in (sensors, perception.sensors)
     )

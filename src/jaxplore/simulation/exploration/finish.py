@@ -1,16 +1,25 @@
 """When an exploration is finished or given up, and what counts then."""
 
 import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxplore._types import Flag, Position, Scalar
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.exploration_field import leads_to_information
+from jaxplore.belief.zones import UNKNOWN, entropy_proxy
 from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
 
+NEVER = "never"
+TARGETS = ("coverage", "information", "walls", NEVER)
+"""What an exploration may end by; a patrol by nothing."""
+DONE_AFTER = 3.0
+"""Time without a place that is worth a visit after which a robot has nothing left to learn [s]."""
 PATIENCE = 60.0
 """Time without progress beyond that of a drive across the map and back [s]."""
 
@@ -39,48 +48,124 @@ def has_coverage_target(target_coverage: Scalar) -> Flag:
     return target_coverage <= 1.0
 
 
+def chosen_target(target: str | None, *, has_coverage: bool, is_patrol: bool) -> str:
+    """Return what an exploration ends by; chosen when absent.
+
+    Args:
+        target: one of `TARGETS`; None for the target coverage if there is one, or else for what the
+            robot can learn, or for nothing on a patrol.
+        has_coverage: whether there is a target coverage.
+        is_patrol: whether all must be seen again and again.
+
+    Raises:
+        ValueError: another word; a coverage that is none.
+    """
+    if target is None:
+        return "coverage" if has_coverage else NEVER if is_patrol else "information"
+    if target not in TARGETS:
+        raise ValueError(f"target is {target!r}; accepted: {', '.join(TARGETS)}")
+    if target in ("coverage", "walls") and not has_coverage:
+        raise ValueError(
+            f"target is {target!r} without a target_coverage; accepted: with a share in (0, 1]"
+        )
+    return target
+
+
+class Knowledge(NamedTuple):
+    """What a robot knows of what is left, by its own map.
+
+    Args:
+        idle: time since a place was last worth a visit [s].
+        walls: share of the cells around known free space that are known to be walls; the others are
+            unknown. It is counted for the target `walls` alone.
+    """
+
+    idle: Scalar
+    walls: Scalar
+
+    @classmethod
+    def nothing(cls) -> "Knowledge":
+        """Return the knowledge before the first scan."""
+        return cls(jnp.zeros(()), jnp.zeros(()))
+
+    def after(self, belief: Belief, position: Position, period: Scalar, target: str) -> "Knowledge":
+        """Return the knowledge a control period later.
+
+        A place with little information is worth a visit for the target `walls`.
+
+        Args:
+            belief: the robot's belief.
+            position: where it takes itself to be (x, y) [m].
+            period: control period [s].
+            target: what the exploration ends by.
+        """
+        cost = belief.guidance(position)
+        if target == "walls":
+            is_worth = cost < 0.5 * belief.guidance.outside
+        else:
+            is_worth = leads_to_information(cost)
+        return self._replace(idle=jnp.where(is_worth, 0.0, self.idle + period))
+
+    def counted(self, grid: OccupancyGrid) -> "Knowledge":
+        """Return the knowledge with the share of walls of a map."""
+        free = jnp.pad(grid.is_free, 1)
+        beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
+        walls, unknown = (
+            jnp.sum(beside & each, dtype=jnp.int32)
+            for each in (grid.is_occupied, entropy_proxy(grid.probability) > UNKNOWN)
+        )
+        share = walls.astype(jnp.float32) / jnp.maximum(walls + unknown, 1).astype(jnp.float32)
+        return self._replace(walls=share)
+
+
 def is_finished(
-    position: Position,
     progress: MapProgress,
     is_seen: Bool[Array, " M"],
+    target: str,
     target_coverage: Scalar,
-    goal: Position | None,
-    goal_radius: Scalar,
+    known: Knowledge,
+    is_there: Flag | None,
     max_unknown: Scalar,
 ) -> Flag:
     """Check whether an exploration is finished; see `ExplorationScenario`.
 
     Args:
-        position: position of the robot [m].
         progress: statistics of the known map.
         is_seen: (M,) whether each target has been seen; with M = 0 the coverage counts instead.
-        target_coverage: share of the reachable cells that must be known.
-        goal: goal position (x, y) [m]; None without one.
-        goal_radius: distance at which the goal is reached [m].
+        target: what the exploration ends by.
+        target_coverage: share of the reachable cells, or of the walls, that must be known.
+        known: what the robot knows of what is left.
+        is_there: whether the goal is reached; None without a goal.
         max_unknown: share of unknown cells below which the map is explored; only with a goal.
     """
     has_targets = is_seen.shape[0] > 0
-    is_covered = jnp.all(is_seen) if has_targets else progress.coverage >= target_coverage
-    if goal is None:
+    is_done = known.idle >= DONE_AFTER
+    if has_targets:
+        is_covered = jnp.all(is_seen)
+    elif target == "coverage":
+        is_covered = progress.coverage >= target_coverage
+    elif target == "walls":
+        is_covered = is_done | (known.walls >= target_coverage)
+    else:
+        is_covered = is_done & (target != NEVER)
+    if is_there is None:
         return is_covered
-    offset = position - goal
-    is_there = jnp.sum(offset * offset) < goal_radius**2
     # Targets are an end of their own: seeing all of them counts, not how much of the map is known.
     if not has_targets:
-        is_covered |= progress.unknown_map < max_unknown
+        is_covered |= is_done | (progress.unknown_map < max_unknown)
     return is_there & is_covered
 
 
-def default_objective(num_targets: int, goal: Position | None, target_coverage: Scalar) -> str:
+def default_objective(num_targets: int, goal: Position | None, target: str) -> str:
     """Return the default objective: time to the end, or the idleness of a patrol, plus contacts.
 
     Args:
         num_targets: number of targets.
         goal: goal position (x, y) [m]; None without one.
-        target_coverage: share of the reachable cells that must be known.
+        target: what the exploration ends by.
     """
     if num_targets:
         return "last_target_at + 100*collisions"
-    if goal is None and not has_coverage_target(target_coverage):
+    if goal is None and target == NEVER:
         return "mean_idleness + 100*collisions"
     return "finished_at + 100*collisions"

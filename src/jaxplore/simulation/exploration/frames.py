@@ -40,6 +40,11 @@ def frame_arrays(
     objects, classes = state.belief.objects, jnp.zeros((0, 0))
     if objects is not None:
         classes = jnp.where(objects.is_known[:, None], objects.probability, jnp.nan)
+    tracks, followed = jnp.zeros((0, 2, 2)), state.belief.tracks
+    if followed is not None:
+        now, velocity = followed.mean[:, :2], followed.mean[:, 2:]
+        ways = jnp.stack([now, now + velocity], axis=1)
+        tracks = jnp.where(followed.is_confirmed[:, None, None], ways, jnp.nan)
     arrays = {
         "state": state.robot,
         "probability": jnp.round(255.0 * state.belief.grid.probability).astype(jnp.uint8),
@@ -53,6 +58,7 @@ def frame_arrays(
         "movers": nowhere if movers is None else movers[:, :2],
         "is_found": state.is_seen,
         "classes": classes,
+        "tracks": tracks,
         "terms": {},
         "sample_terms": {},
     }

@@ -34,6 +34,7 @@ def make_recording(
     start: StateVector,
     period: float,
     goal: Position | None,
+    target: str,
     target_coverage: Scalar,
     targets: Float[Array, "M 2"],
     member_names: tuple[str, ...],
@@ -54,6 +55,7 @@ def make_recording(
         start: (nx,) state at the start.
         period: control period [s].
         goal: goal position (x, y) [m]; None without one.
+        target: what the exploration ends by.
         target_coverage: share of the reachable cells that must be known; above 1 for none.
         targets: (M, 2) positions of the targets [m].
         member_names: names of the controller's members.
@@ -72,6 +74,7 @@ def make_recording(
         # `finished` counts from the step that ended the task, that step included.
         finished_step=run.num_steps - int(after.finished) + 1 if after.finished > 0 else None,
         given_up_step=run.num_steps if is_given_up else None,
+        target=target,
         target_coverage=float(target_coverage) if has_coverage_target(target_coverage) else None,
         targets=np.asarray(targets),
         member_names=member_names,

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from jaxplore._types import Pose, Scalar
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.tracks import ObstacleTracker, beam_ends
 from jaxplore.control.guard import ScanPoints
 from jaxplore.control.plausibility import scan_misfit
 from jaxplore.sensing.base import Sensor
@@ -20,6 +21,7 @@ def scan_points(
     expected: Pose,
     time: Scalar,
     interval: Scalar,
+    tracker: ObstacleTracker | None = None,
 ) -> ScanPoints:
     """Return the end points of the scans, and how badly they fit the map.
 
@@ -31,13 +33,18 @@ def scan_points(
         expected: pose by which the points are placed, also where the odometry cannot be true.
         time: time of the scans [s].
         interval: time between two of them [s].
+        tracker: what tracks moving obstacles; without it nothing moves.
     """
     points, is_point = [], []
     for sensor, scan in zip(sensors, scans, strict=True):
-        angles = expected[2] + jnp.asarray(sensor.beam_angles)
-        directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
-        points.append(expected[:2] + scan.ranges[:, None] * directions)
-        # A beam that ended at a moving obstacle has no return, but is shorter than the others.
-        is_point.append(scan.is_return | (scan.ranges < sensor.max_range - 1e-3))
+        points.append(beam_ends(sensor, scan, expected))
+        # A beam that ended at a moving obstacle may have no return, but is shorter than the others.
+        # One without a measurement has the range 0.
+        is_shorter = (scan.ranges > 0.0) & (scan.ranges < sensor.max_range - 1e-3)
+        is_point.append(scan.is_return | is_shorter)
     misfit = scan_misfit(belief, sensors[0], scans[0], measured)
-    return ScanPoints(jnp.concatenate(points), jnp.concatenate(is_point), misfit, time, interval)
+    ends, is_end = jnp.concatenate(points), jnp.concatenate(is_point)
+    speeds = None
+    if tracker is not None and belief.tracks is not None:
+        speeds = tracker.possible_speeds(belief.tracks, belief.clearance, ends, is_end)
+    return ScanPoints(ends, is_end, misfit, time, interval, speeds)

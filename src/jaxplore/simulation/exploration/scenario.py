@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
-from jaxplore._trees import HostOnly
+from jaxplore._trees import HostOnly, with_field
 from jaxplore._types import (
     ArrayLike,
     ControlVector,
@@ -31,9 +32,17 @@ from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.perception_checks import as_sensors
+from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.goal_check import (
+    GOAL_RADIUS,
+    GOAL_SPEED,
+    GOAL_TOLERANCE,
+    GoalCheck,
+    Motion,
+)
 from jaxplore.geometry.chassis import Chassis
 from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.datum import ORIGIN, Datum
@@ -52,9 +61,9 @@ from jaxplore.simulation.exploration.agent_view import ExplorationView
 from jaxplore.simulation.exploration.carrying import carried, check_carrying, landing
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.finish import (
+    chosen_target,
     default_give_up_after,
     default_objective,
-    has_coverage_target,
     is_finished,
 )
 from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
@@ -76,23 +85,31 @@ from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
 
+TOLD_NOISE = (0.05, 0.1)
+"""Default of `tracking_noise` where the robot is told."""
+
 
 class ExplorationScenario(Scenario):
     """Exploration of an unknown world by a robot with sensors.
 
     When it is finished depends on the task:
 
-    - By default: at the target coverage.
-    - With a goal: within `goal_radius` of it, with less than `max_unknown` of the map unknown or at
-      the target coverage. With a goal apart (see `Perception`) the robot drives to the goal first
-      and explores on the way.
+    - By default: at the target coverage, which the true map tells and the robot does not know.
+    - With the target `information`, as without a target coverage: when the robot has nothing left
+      to learn by its own map, as in the node. No place with enough information, see
+      `Perception.min_information`, has been reachable for 3 s.
+    - With the target `walls`: when of the cells around its known free space a share
+      `target_coverage` are known walls, or when nothing at all is left to learn.
+    - With a goal: when the robot has reached it (`GoalCheck`), with less than `max_unknown` of the
+      map unknown, at the target coverage, or with nothing left to learn. With a goal apart (see
+      `Perception`) the robot drives to the goal first and explores on the way.
     - With `targets`: when the first sensor has seen all of them, or recognised all of them if the
       perception has a `Recognition`.
-    - Without target coverage, goal and targets, as on a patrol: never before the time limit.
+    - With a watch, without target coverage, goal and targets: never before the time limit.
 
-    If only the coverage counts, the exploration is given up when the coverage has not risen by 0.1
-    % for `give_up_after`: what is left cannot be seen from where the robot fits, or is not worth a
-    drive. The run then ends without being finished.
+    If only the coverage or the walls count, the exploration is given up when the share has not
+    risen by 0.1 % for `give_up_after`: what is left cannot be seen from where the robot fits, or is
+    not worth a drive. The run then ends without being finished.
 
     Cells that the world does not know to be free are solid. *Reachable* are the free cells that the
     centre of the robot's disc can reach from the start. Coverage is the share of them that the
@@ -114,16 +131,21 @@ class ExplorationScenario(Scenario):
         field_rate: rate of updates of the information and guidance fields [Hz]; a whole fraction of
             the control rate. The first update is at the first step, the others at the end of each
             period.
-        target_coverage: share of the reachable cells at which exploration is finished; None for
-            never.
+        target: what the exploration ends by, `coverage`, `information`, `walls` or `never`; by
+            default the coverage if there is a target, else the information, and on a patrol
+            nothing; static.
+        target_coverage: share of the reachable cells, or of the walls, at which exploration is
+            finished; None for none.
         give_up_after: time without a rise of the coverage after which the exploration is given up
             [s]; when absent a minute and the time of a drive along the diagonal of the map and
             back.
         prior: map that the robot knows in advance, with the cells of the world; nothing when
             absent.
         goal: goal position (x, y) [m]; none when absent.
-        goal_radius: distance at which the goal is reached [m]; when absent 1.5, or 0.25 for a
-            goal apart.
+        goal_radius: distance within which the goal is reached by a robot at rest [m].
+        goal_heading: heading at the goal [rad]; any when absent.
+        goal_tolerance: greatest error of the heading at the goal [rad].
+        goal_speed: speed up to which the robot is at rest at the goal [m/s].
         max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map is explored; when
                 absent 0.05, or 1 for a goal apart, which then needs no explored map.
         altitude: z of the start, for robots that have one [m].
@@ -131,9 +153,11 @@ class ExplorationScenario(Scenario):
         faults: injected faults; none when absent.
         targets: (M, 2) positions of the targets to find [m]; none when absent.
         objects: objects of other classes, for a perception with a `Recognition`; none when absent.
-        moving_obstacles: true moving obstacles; none when absent. The robot's tracker measures
-            those in sight of any sensor. Their start is drawn from the run's key.
-        tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
+        moving_obstacles: true moving obstacles; none when absent. The robot
+            finds them in the scans (`ObstacleTracker`). Their start is drawn from the run's key.
+        tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
+            told of the obstacles in sight. When absent it has a tracker instead, but on a known
+            ground, whose hills return beams like what moves, it is told with (0.05, 0.1).
         planted: what differs from the prior map, to judge reports of anomalies; none when absent.
         chassis: wheels and centre of mass of the robot; without it the robot cannot tip over.
         localisation: how the robot finds its pose, from an odometry with errors and its scans; it
@@ -166,6 +190,9 @@ class ExplorationScenario(Scenario):
     give_up_after: Scalar
     goal: Position | None
     goal_radius: Scalar
+    goal_heading: Scalar | None
+    goal_tolerance: Scalar
+    goal_speed: Scalar
     max_unknown: Scalar
     hover_steps: Count
     faults: Faults | None
@@ -176,6 +203,7 @@ class ExplorationScenario(Scenario):
     planted: PlantedAnomalies | None
     chassis: Chassis | None
     localisation: Localisation | None
+    target: str = eqx.field(static=True)
     clearance_reach: int = eqx.field(static=True)
 
     def __init__(
@@ -189,11 +217,15 @@ class ExplorationScenario(Scenario):
         control_rate: float = 50.0,
         sensing_rate: float = 10.0,
         field_rate: float = 5.0,
+        target: str | None = None,
         target_coverage: ArrayLike | None = 0.99,
         give_up_after: ArrayLike | None = None,
         prior: OccupancyGrid | None = None,
         goal: Vector | None = None,
-        goal_radius: ArrayLike | None = None,
+        goal_radius: ArrayLike = GOAL_RADIUS,
+        goal_heading: ArrayLike | None = None,
+        goal_tolerance: ArrayLike = GOAL_TOLERANCE,
+        goal_speed: ArrayLike = GOAL_SPEED,
         max_unknown: ArrayLike | None = None,
         altitude: float = 0.0,
         hover_time: float = 0.0,
@@ -201,7 +233,7 @@ class ExplorationScenario(Scenario):
         targets: Rows | None = None,
         objects: Sequence[LabelledObject] | None = None,
         moving_obstacles: MovingObstacles | None = None,
-        tracking_noise: Vector = (0.05, 0.1),
+        tracking_noise: Vector | None = None,
         planted: PlantedAnomalies | None = None,
         chassis: Chassis | None = None,
         localisation: Localisation | None = None,
@@ -227,20 +259,28 @@ class ExplorationScenario(Scenario):
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
         is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
         self.moving_obstacles = None if is_still else moving_obstacles
-        self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
+        told = TOLD_NOISE if tracking_noise is None else tracking_noise
+        self.tracking_noise = _checks.vector("tracking_noise", told, 2, at_least=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         is_apart = perception is not None and perception.is_goal_apart
-        self.goal_radius, self.max_unknown = checks.checked_end(goal_radius, max_unknown, is_apart)
+        ends = (goal_radius, goal_heading, goal_tolerance, goal_speed)
+        check = GoalCheck.of((0.0, 0.0) if goal is None else goal, *ends)
+        _, self.goal_radius, heading, self.goal_tolerance, self.goal_speed = check
+        self.goal_heading = None if goal is None else heading
+        self.max_unknown = checks.checked_unknown(max_unknown, is_apart=is_apart)
         perception = checks.checked_perception(
             perception,
             self.sensors,
             world,
             robot,
             ground,
-            self.goal,
+            self.goal_check,
             self.max_unknown,
             is_localising=localisation is not None,
         )
+        is_told = tracking_noise is not None or ground is not None
+        if is_told or (self.moving_obstacles is not None and perception.tracker is None):
+            perception = with_field(perception, "tracker", None if is_told else ObstacleTracker())
         known = checks.checked_prior(prior, world, datum)
         if localisation is not None:
             localisation.localiser.check_map(prior)
@@ -261,6 +301,9 @@ class ExplorationScenario(Scenario):
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.checked_coverage(target_coverage)
+        self.target = chosen_target(
+            target, has_coverage=target_coverage is not None, is_patrol=perception.watch is not None
+        )
         if give_up_after is None:
             give_up_after = default_give_up_after(world, robot)
         self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
@@ -268,6 +311,14 @@ class ExplorationScenario(Scenario):
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
         self.perception, self.planted = perception, planted
+
+    @property
+    def goal_check(self) -> GoalCheck | None:
+        """Check whether the goal is reached; None without a goal."""
+        if self.goal is None:
+            return None
+        ends = (self.goal_heading, self.goal_tolerance, self.goal_speed)
+        return GoalCheck(self.goal, self.goal_radius, *ends)
 
     @property
     def world(self) -> OccupancyGrid:
@@ -292,6 +343,11 @@ class ExplorationScenario(Scenario):
     def __repr__(self) -> str:
         return describe_fields(self, "world", "robot", "sensors", "start", "goal", "period")
 
+    def with_told_obstacles(self) -> "ExplorationScenario":
+        """Return the scenario with a robot that is told of moving obstacles (`tracking_noise`)."""
+        told = with_field(self.perception, "tracker", None)
+        return with_field(self, "perception", told)
+
     @property
     def num_targets(self) -> int:
         """Number of targets, M."""
@@ -310,7 +366,7 @@ class ExplorationScenario(Scenario):
     @property
     def objective(self) -> str:
         """Default objective: time to the end, or the idleness of a patrol, plus contacts."""
-        return default_objective(self.num_targets, self.goal, self.target_coverage)
+        return default_objective(self.num_targets, self.goal, self.target)
 
     @property
     def num_reachable(self) -> Scalar:
@@ -380,8 +436,19 @@ class ExplorationScenario(Scenario):
         self, state: ExplorationState, moment: Moment, key: Key
     ) -> tuple[ExplorationState, Belief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        known = self.senses.perceive(state, self.true_world(state, moment), moment, key)
-        return known, known.belief
+        senses, gain = self.senses, state.gain
+        state = senses.perceive(state, self.true_world(state, moment), moment, key)
+        place = self.robot.position(self.measured(state))
+        known = state.known.after(state.belief, place, self.control_period, self.target)
+        if self.target == "walls":
+            known = jax.lax.cond(
+                senses.is_scan_due(moment.step),
+                lambda: known.counted(state.belief.grid),
+                lambda: known,
+            )
+            state = state._replace(gain=gain.after(known.walls, self.control_period))
+        state = state._replace(known=known)
+        return state, state.belief
 
     @property
     def senses(self) -> Senses:
@@ -435,7 +502,8 @@ class ExplorationScenario(Scenario):
             # After the odometry has measured the step: it does not notice.
             is_carried = self.faults.is_carried(moment.time, self.control_period)
             record = carried(record, self.robot, self.start, state.landing, is_carried)
-        state = state._replace(robot=record.state, wheels=wheels, located=located)
+        motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
+        state = state._replace(robot=record.state, wheels=wheels, located=located, motion=motion)
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -458,9 +526,12 @@ class ExplorationScenario(Scenario):
         Args:
             state: the task's state, with the map that the robot knows in `belief.grid`.
         """
-        position = self.robot.position(state.robot)
-        end = (self.target_coverage, self.goal, self.goal_radius, self.max_unknown)
-        return is_finished(position, state.progress, state.is_seen, *end)
+        check, is_there = self.goal_check, None
+        if check is not None:
+            # A robot that finds its pose is where it takes itself to be.
+            is_there = check.is_reached(self.robot.pose(self.measured(state)), state.motion)
+        end = (self.target, self.target_coverage, state.known, is_there, self.max_unknown)
+        return is_finished(state.progress, state.is_seen, *end)
 
     def is_given_up(self, state: ExplorationState) -> Flag:
         """Check whether the exploration is given up, as the class says.
@@ -470,7 +541,7 @@ class ExplorationScenario(Scenario):
         """
         if self.goal is not None or self.num_targets > 0:
             return jnp.array(False)
-        is_judged = has_coverage_target(self.target_coverage) & (state.finished == 0)
+        is_judged = (self.target in ("coverage", "walls")) & (state.finished == 0)
         return is_judged & (state.gain.since >= self.give_up_after)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
@@ -521,7 +592,7 @@ class ExplorationScenario(Scenario):
         """Make the recording of a run."""
         names = () if controller is None else controller.member_names
         parts = (self.map_arrays.cropped(), self.robot, self.start, self.period)
-        end = (self.goal, self.target_coverage, self.targets)
+        end = (self.goal, self.target, self.target_coverage, self.targets)
         planted, how = self.planted, self.perception.recognition
         after: ExplorationState = run.state.task
         is_given_up, place = bool(self.is_given_up(after)), None
@@ -544,4 +615,5 @@ class ExplorationScenario(Scenario):
         grid = self.map_arrays.world
         if self.faults is not None:
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
-        return TrueWorld(grid, self.map_arrays.ground, moving, moment.time)
+        is_told = self.perception.tracker is None
+        return TrueWorld(grid, self.map_arrays.ground, moving, moment.time, is_told)

@@ -90,15 +90,9 @@ class Senses(NamedTuple):
         """
         scanned = self.scanned(state, truth, moment, key)
         state, perception = scanned.state, self.perception
-
-        def track(known: Obstacles | None) -> tuple[Obstacles | None]:
-            placed = None if state.located is None else state.located.known.pose
-            return (self.tracked(known, truth, self.robot.pose(state.robot), key, placed),)
-
-        (known,) = when_due(
-            self.is_scan_due(moment.step), scanned.is_taken, track, (state.belief.obstacles,)
-        )
-        belief = dataclasses.replace(state.belief, obstacles=known)
+        belief = state.belief
+        if perception.tracker is None:
+            belief = dataclasses.replace(belief, obstacles=self._told(scanned, truth, moment, key))
         located = state.located
         here = scanned.pose if located is None else located.known.pose
 
@@ -109,6 +103,21 @@ class Senses(NamedTuple):
 
         (belief,) = when_due(self.are_fields_due(moment.step), scanned.is_placed, derive, (belief,))
         return state._replace(belief=belief)
+
+    def _told(
+        self, scanned: Scanned, truth: TrueWorld, moment: Moment, key: Key
+    ) -> Obstacles | None:
+        """Return the known obstacles after a measurement that is due."""
+        state = scanned.state
+
+        def track(known: Obstacles | None) -> tuple[Obstacles | None]:
+            placed = None if state.located is None else state.located.known.pose
+            return (self.tracked(known, truth, self.robot.pose(state.robot), key, placed),)
+
+        (known,) = when_due(
+            self.is_scan_due(moment.step), scanned.is_taken, track, (state.belief.obstacles,)
+        )
+        return known
 
     def is_scan_due(self, step: Count) -> Flag:
         """Check whether scans are due at a step."""
@@ -208,6 +217,7 @@ class Senses(NamedTuple):
             points = scan_points(
                 *(state.belief, self.sensors, scans, measured, expected),
                 *(moment.time, period * self.steps_per_scan.astype(jnp.float32)),
+                perception.tracker,
             )
             ranges, is_return = (jnp.concatenate(each) for each in zip(*scans, strict=True))
             return points, ranges, is_return

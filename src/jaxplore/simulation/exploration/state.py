@@ -13,8 +13,10 @@ from jaxplore.belief.belief import Belief
 from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
+from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
+from jaxplore.simulation.exploration.finish import Knowledge
 from jaxplore.simulation.exploration.located import Located
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
@@ -37,6 +39,8 @@ class ExplorationState(NamedTuple):
         points: end points of the last scan, for the guard; None without one.
         wheels: the vehicle on its wheels; None for a robot that cannot tip over.
         located: localisation of the robot; None if it knows its pose.
+        motion: motion of the robot in the last step.
+        known: what the robot knows of what is left.
         landing: pose to which a fault carries the robot; None without such a fault.
     """
 
@@ -49,6 +53,8 @@ class ExplorationState(NamedTuple):
     is_seen: Bool[Array, " M"]
     moving_obstacles: MovingObstacles | None
     ranges: Float[Array, " B"]
+    motion: Motion
+    known: Knowledge
     points: ScanPoints | None = None
     wheels: Wheels | None = None
     located: Located | None = None
@@ -88,7 +94,7 @@ def initial_state(
         located: localisation at the start; None if the robot knows its pose.
     """
     number = sum(sensor.num_beams for sensor in sensors)
-    if moving is not None:
+    if moving is not None and belief.tracks is None:
         belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
     sums = MapSums.of(belief.grid.probability, reachable)
     progress = map_progress(sums, belief, reachable, jnp.zeros(()))
@@ -102,7 +108,11 @@ def initial_state(
         is_seen=jnp.zeros(num_targets, bool),
         moving_obstacles=moving,
         ranges=jnp.asarray(max_ranges(sensors)),
-        points=ScanPoints.blank(number, 0.0) if is_guarded else None,
+        points=ScanPoints.blank(number, 0.0, can_move=belief.tracks is not None)
+        if is_guarded
+        else None,
+        motion=Motion(jnp.zeros(()), jnp.zeros(())),
+        known=Knowledge.nothing(),
         wheels=Wheels.at_rest() if can_tip else None,
         located=located,
     )

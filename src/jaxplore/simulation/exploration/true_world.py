@@ -32,12 +32,14 @@ class TrueWorld(eqx.Module):
         ground: ground of the map's cells; None if it is level.
         moving: moving obstacles; None without any.
         time: time since the start [s].
+        is_told: whether scans tell which beams ended at moving obstacles; static.
     """
 
     grid: OccupancyGrid
     ground: Ground | None
     moving: MovingObstacles | MovingDiscs | None
     time: Scalar
+    is_told: bool = eqx.field(static=True, default=True)
 
     @property
     def discs(self) -> Float[Array, "M 3"] | None:
@@ -56,7 +58,9 @@ class TrueWorld(eqx.Module):
         # The first sensor has the step's own key, so further sensors do not change its noise.
         keys = [key, *(jax.random.fold_in(key, k) for k in range(1, len(sensors)))]
         return tuple(
-            sensor.scan(self.grid, pose, key=each, ground=self.ground, movers=discs)
+            sensor.scan(
+                *(self.grid, pose), key=each, ground=self.ground, movers=discs, is_told=self.is_told
+            )
             for sensor, each in zip(sensors, keys, strict=True)
         )
 

@@ -73,6 +73,8 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
                 f"{name} of robots[{index}] is given; accepted in a fleet: none, which explores "
                 "until a target coverage"
             )
+    if one.target == "walls":
+        raise ValueError(f"target of robots[{index}] is 'walls'; accepted in a fleet: 'coverage'")
     if not bool(has_coverage_target(one.target_coverage)):
         raise ValueError(
             f"target_coverage of robots[{index}] is None; accepted in a fleet: a number in (0, 1]"

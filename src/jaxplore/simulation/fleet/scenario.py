@@ -115,7 +115,11 @@ class Fleet(Scenario):
         plan_length: int = 40,
     ) -> None:
         _kinds.instance("radio", radio, Radio, may_be_none=True)
-        self.explorations = Alike(checked_members(robots, starts))
+        members = checked_members(robots, starts)
+        if len(members) > 1:
+            # The others tell where they are, so there is nothing to be found in scans.
+            members = tuple(each.with_told_obstacles() for each in members)
+        self.explorations = Alike(members)
         first = self.members[0]
         poses = checked_starts(self.members, starts)
         self.robot = Formation([each.robot for each in self.members])

@@ -34,6 +34,7 @@ from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, State
+from jaxplore.dynamics.goal_check import GOAL_RADIUS, GOAL_SPEED, GoalCheck, Motion
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.geometry.path import Path
 from jaxplore.maps.datum import ORIGIN, Datum
@@ -58,8 +59,9 @@ PREDICTIONS = ("constant-turn", "constant-velocity")
 class PathScenario(Scenario):
     """Path following of a robot among obstacles.
 
-    It is finished when the robot itself, not the path parameter phi of its plan, has reached the
-    end of an open path, or has completed the laps of a closed one.
+    It is finished when the robot itself, not the path parameter phi of its plan, is at rest at the
+    end of an open path (`GoalCheck`), or has completed the laps of a closed one. A cusp of an open
+    path is a stop as well: the path goes on for the robot when it is at rest there.
 
     Contacts with obstacles and corridor violations are counted and do not stop the robot.
 
@@ -71,7 +73,9 @@ class PathScenario(Scenario):
         traffic: moving obstacles; none when absent.
         standing: static obstacles, known in advance; none when absent.
         control_rate: rate of the controls [Hz].
-        finish: distance from the end of an open path at which the run is finished [m].
+        goal_radius: distance from the end of an open path, and from a cusp, within which a robot at
+            rest has reached it [m].
+        goal_speed: speed up to which the robot is at rest there [m/s].
         tracking_noise: standard deviations of the obstacles' positions [m] and velocities [m/s] as
             the robot measures them.
         prediction: motion model by which the robot predicts obstacles, "constant-turn" or
@@ -96,6 +100,9 @@ class PathScenario(Scenario):
     path: Path
     start: StateVector
     end: Scalar
+    stops: Float[Array, " S"]
+    goal_radius: Scalar
+    goal_speed: Scalar
     traffic: Traffic | None
     standing: Outlines | None
     control_period: Scalar
@@ -115,7 +122,8 @@ class PathScenario(Scenario):
         traffic: Traffic | None = None,
         standing: Outlines | None = None,
         control_rate: float = 50.0,
-        finish: ArrayLike = 0.5,
+        goal_radius: ArrayLike = GOAL_RADIUS,
+        goal_speed: ArrayLike = GOAL_SPEED,
         tracking_noise: Vector = (0.02, 0.05),
         prediction: str = "constant-turn",
         growth: ArrayLike = 0.1,
@@ -141,8 +149,11 @@ class PathScenario(Scenario):
         self.robot, self.path = robot, path
         self.traffic = None if traffic is None or traffic.number == 0 else traffic
         self.standing = None if standing is None or standing.number == 0 else standing
-        near = _checks.scalar("finish", finish, at_least=0.0)
-        self.end = rounds * path.length if path.is_closed else path.length - near
+        self.goal_radius = _checks.scalar("goal_radius", goal_radius, above=0.0)
+        self.goal_speed = _checks.scalar("goal_speed", goal_speed, above=0.0)
+        self.end = rounds * path.length
+        ends = path.length[None]
+        self.stops = ends[:0] if path.is_closed else jnp.concatenate([path.stops, ends])
         if start is None:
             point = path.at(jnp.zeros(()))
             pose = [float(value) for value in (point.x, point.y, point.heading)]
@@ -223,7 +234,8 @@ class PathScenario(Scenario):
         """Return the initial state, and the belief with the true obstacles. Nothing is random."""
         phi, start = self.robot.component(self.start, "phi"), jnp.zeros(())
         truth = self._dated(self.true_obstacles(start))
-        return PathState(self.start, phi, truth), _belief(truth)
+        state = PathState(self.start, phi, jnp.sum(self.stops < phi, dtype=jnp.int32), truth)
+        return state, self._belief(state)
 
     def perceive(
         self, state: PathState, moment: Moment, key: Key
@@ -234,7 +246,22 @@ class PathScenario(Scenario):
             # By `_dated` all obstacles have an age, so both have the same leaves to choose from.
             predicted = state.known.after(self.control_period)
             known = jax.tree.map(functools.partial(jnp.where, moment.is_blind), predicted, known)
-        return state._replace(known=known), _belief(known)
+        state = state._replace(known=known)
+        return state, self._belief(state)
+
+    def _belief(self, state: PathState) -> Belief | None:
+        """Return what the controller knows; None without obstacles and cusps."""
+        has_cusps = self.stops.shape[0] > 1
+        if state.known is None and not has_cusps:
+            return None
+        stop = self._stretch(state)[1] if has_cusps else None
+        return Belief(obstacles=state.known, path_stop=stop)
+
+    def _stretch(self, state: PathState) -> tuple[Scalar, Scalar]:
+        """Return the arc lengths of the last and of the next stop of an open path [m]."""
+        stops = jnp.concatenate([jnp.zeros(1), self.stops])
+        last = jnp.minimum(state.next_stop, self.stops.shape[0] - 1)
+        return stops[last], stops[last + 1]
 
     def advance(
         self, state: PathState, control: ControlVector, moment: Moment, info: Info
@@ -244,8 +271,18 @@ class PathScenario(Scenario):
         moved = model.step(state.robot, control, period)
         # A control that is not finite does not move the robot.
         robot = jnp.where(jnp.all(jnp.isfinite(moved)), moved, state.robot)
+        stretch, is_stop = None, jnp.array(False)
+        if not path.is_closed:
+            # Nobody passes a stop before the robot has stood there.
+            stretch = self._stretch(state)
+            phi = jnp.minimum(model.component(robot, "phi"), stretch[1])
+            robot = model.with_component(robot, "phi", phi)
+            stop = path.at(stretch[1]).position
+            check = GoalCheck(stop, self.goal_radius, speed=self.goal_speed)
+            motion = Motion.between(model, state.robot, robot, period)
+            is_stop = check.is_reached(model.pose(robot), motion)
         here = State(robot, model, control)
-        progress = path.nearest(here.position, near=state.progress)
+        progress = path.nearest(here.position, near=state.progress, within=stretch)
         room = gap = jnp.full((), jnp.inf)
         if path.has_room:
             # By the true position, not by the phi of the plan.
@@ -271,11 +308,14 @@ class PathScenario(Scenario):
             is_finite=info.is_finite,
             is_faulty=moment.is_faulty,
         )
-        return state._replace(robot=robot, progress=progress), record
+        made = state.next_stop + is_stop.astype(jnp.int32)
+        return state._replace(robot=robot, progress=progress, next_stop=made), record
 
     def is_unfinished(self, state: PathState) -> Flag:
         """Check whether the robot has not reached the end yet."""
-        return state.progress < self.end
+        if self.path.is_closed:
+            return state.progress < self.end
+        return state.next_stop < self.stops.shape[0]
 
     def progress(self, state: PathState) -> tuple[float, str]:
         """Return the share of the path that is done, and the distance as text."""
@@ -329,6 +369,10 @@ class PathScenario(Scenario):
     ) -> PathRecording:
         """Make the recording of a run."""
         path, model, truth = self.path, self.robot, self.true_obstacles(jnp.zeros(()))
+        after: PathState = run.state.task
+        end = float(self.end)
+        if not path.is_closed and not bool(self.is_unfinished(after)):
+            end = float(after.progress)  # it stands within the radius of the end
         centre, edges = _centre_and_edges(path)
         local = PathRecording(
             **run.common(self.period),
@@ -337,7 +381,7 @@ class PathScenario(Scenario):
             centre=centre,
             edges=edges,
             length=float(path.length),
-            end=float(self.end),
+            end=end,
             is_closed=path.is_closed,
             obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
         )
@@ -368,7 +412,3 @@ def _centre_and_edges(path: Path) -> tuple[np.ndarray, np.ndarray]:
     normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
     left, right = np.asarray(path.half_widths).T[..., None]
     return centre, np.stack([centre + left * normals, centre - right * normals])
-
-
-def _belief(known: Obstacles | None) -> Belief | None:
-    return None if known is None else Belief(obstacles=known)

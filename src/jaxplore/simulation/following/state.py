@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from jaxplore._types import Scalar, StateVector
+from jaxplore._types import Count, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles
 
 
@@ -13,9 +13,11 @@ class PathState(NamedTuple):
         robot: (nx,) true state of the robot, with its path parameter phi.
         progress: arc length of the point of the path nearest to the robot [m]; it keeps growing
             from lap to lap.
+        next_stop: number of the stops that the robot has made.
         known: obstacles as the robot's tracker estimates them; None without any.
     """
 
     robot: StateVector
     progress: Scalar
+    next_stop: Count
     known: Obstacles | None

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt8
 
 from jaxplore import _checks, _kinds
+from jaxplore._trees import HostOnly
 from jaxplore._types import (
     ArrayLike,
     ControlVector,
@@ -26,6 +27,7 @@ from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
 from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.maps.window import read_first
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
@@ -77,6 +79,8 @@ class VolumeScenario(Scenario):
         field_rate: rate of updates of the information and guidance [Hz], likewise.
         target_coverage: share of the observable volume at which the exploration is finished.
         faults: injected faults of odometry, scans and delays; none when absent.
+        datum: point of a file's coordinates to which all positions here are relative; frames and
+            recordings are in those of the file.
 
     Raises:
         ValueError: a part of another class, a start that is off the volume or so close to a solid
@@ -114,6 +118,7 @@ class VolumeScenario(Scenario):
         field_rate: float = 5.0,
         target_coverage: ArrayLike = 0.95,
         faults: Faults | None = None,
+        datum: Datum = ORIGIN,
     ) -> None:
         _kinds.instance("world", world, VoxelGrid)
         _kinds.instance("robot", robot, Quadrotor)
@@ -121,6 +126,8 @@ class VolumeScenario(Scenario):
         _kinds.instance("faults", faults, Faults, may_be_none=True)
         if faults is not None and faults.carried_at is not None:
             raise ValueError("faults has carried_at in a volume; accepted: faults without it")
+        _kinds.instance("datum", datum, Datum)
+        self.placed = HostOnly(datum)
         several = isinstance(sensors, Sequence)
         given = tuple(sensors) if isinstance(sensors, Sequence) else (sensors,)
         for each in given:
@@ -132,7 +139,9 @@ class VolumeScenario(Scenario):
         radius = float(robot.radius)
         solid = ~np.asarray(world.is_free)
         side = world.resolution
-        places = fitting_places(solid, _start_voxel(solid, world, place, radius), radius / side)
+        places = fitting_places(
+            solid, _start_voxel(solid, world, place, radius, datum), radius / side
+        )
         views = [(each.max_range / side, *each.elevations) for each in given]
         seen = observable(solid, places, views)
         self.observable = on_device(seen)
@@ -326,7 +335,7 @@ def voxel_states(log_odds: Float[Array, "*N"]) -> UInt8[Array, "*N"]:
 
 
 def _start_voxel(
-    solid: np.ndarray, world: VoxelGrid, start: np.ndarray, radius: float
+    solid: np.ndarray, world: VoxelGrid, start: np.ndarray, radius: float, datum: Datum
 ) -> np.ndarray:
     """Return the start in grid coordinates (z, y, x) [voxels].
 
@@ -336,10 +345,12 @@ def _start_voxel(
     side, origin = world.resolution, np.asarray(world.origin, np.float64)
     grid = ((start[:3] - origin) / side)[::-1]
     voxel = np.floor(grid).astype(int)
-    where = f"start is ({start[0]:g}, {start[1]:g}, {start[2]:g})"
+    shown = ", ".join(f"{each:.10g}" for each in datum.shown(start[:3]))
+    where = f"start is ({shown})"
     if not ((voxel >= 0) & (voxel < solid.shape)).all():
         ends = origin + np.array(solid.shape[::-1]) * side
-        x, y, z = (f"{low:g} to {high:g}" for low, high in zip(origin, ends, strict=True))
+        lows, highs = datum.shown(origin), datum.shown(ends)
+        x, y, z = (f"{low:.10g} to {high:.10g}" for low, high in zip(lows, highs, strict=True))
         raise ValueError(f"{where}, off the volume; accepted: x {x}, y {y}, z {z}")
     reach = math.ceil(radius / side) + 1
     low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach + 1, solid.shape)

@@ -1,0 +1,94 @@
+"""Contacts with people who walk and look out for nobody, by their speed.
+
+`python -m benchmarks.people --map office --seeds 10`
+
+A contact counts against the robot if the robot moved in the control period in which it began, or in
+that before.
+"""
+
+import argparse
+import json
+from typing import Any
+
+import numpy as np
+
+from benchmarks.setting import available_maps
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.simulation.run import record_run
+
+SITES = {
+    "office": "office",
+    "aws_small_house": "aws_small_house/map.yaml",
+    "nav2_depot": "nav2_depot/depot.yaml",
+}
+SPEEDS = (0.5, 1.0, 1.5, 2.0)
+STILL = 0.02
+"""Speed below which the robot stands [m/s]."""
+
+
+def measure_contacts(
+    place: str, architecture: str, number: int, speed: float, seed: int, seconds: float
+) -> dict[str, Any]:
+    """Return a row of one run.
+
+    Args:
+        place: name of a generated map, or file of a map.
+        architecture: architecture of the robot.
+        number: number of people.
+        speed: their speed [m/s].
+        seed: seed of the run and of the people's ways.
+        seconds: simulated time [s].
+    """
+    people = {"number": number, "speed": speed}
+    entries = {"map": place, "architecture": architecture, "people": people, "seed": seed}
+    experiment = build(make_settings({**entries, "time_limit": seconds, "target_coverage": None}))
+    run = record_run(*experiment[:3], key=experiment.key)
+    records: Any = run.records
+    period = experiment.scenario.period
+    states = np.asarray(records.state)
+    moved = np.hypot(*np.diff(states[:, :2], axis=0, prepend=states[:1, :2]).T) / period
+    is_contact = np.asarray(records.is_collision)
+    begins = np.flatnonzero(is_contact & ~np.append(False, is_contact[:-1]))
+    is_moving = [bool(moved[max(0, at - 1) : at + 1].max() > STILL) for at in begins]
+    return {
+        "architecture": architecture,
+        "speed": speed,
+        "seed": seed,
+        "seconds": len(states) * period,
+        "metres": float(moved.sum() * period),
+        "contacts": len(begins),
+        "contacts_moving": sum(is_moving),
+        "standing": float((moved < STILL).mean()),
+        "coverage": float(np.asarray(records.coverage)[-1]),
+    }
+
+
+def main() -> None:
+    """Measure, and print a line for each run and for each speed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--map", default="office", choices=sorted(SITES))
+    parser.add_argument("--architectures", nargs="+", default=["explorer"])
+    parser.add_argument("--speeds", nargs="+", type=float, default=SPEEDS)
+    parser.add_argument("--people", type=int, default=8)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=80.0)
+    given = parser.parse_args()
+    place = given.map if given.map == "office" else available_maps(SITES)[given.map]
+    for architecture in given.architectures:
+        for speed in given.speeds:
+            rows = []
+            for seed in range(given.seeds):
+                args = (architecture, given.people, speed, seed, given.seconds)
+                rows.append(measure_contacts(place, *args))
+                print(json.dumps(rows[-1]), flush=True)
+            metres = sum(row["metres"] for row in rows)
+            sums = {
+                name: sum(row[name] for row in rows) for name in ("contacts", "contacts_moving")
+            }
+            per = {f"{name}_per_100_m": 100.0 * sums[name] / metres for name in sums}
+            found = {"map": given.map, "architecture": architecture, "speed": speed}
+            print(json.dumps({**found, "metres": metres, **sums, **per}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

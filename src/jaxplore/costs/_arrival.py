@@ -1,0 +1,101 @@
+"""Costs of coming to rest at a goal, shared by the costs that lead to one."""
+
+import jax.numpy as jnp
+
+from jaxplore._types import Position, Scalar
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.costs._distance import offset
+from jaxplore.dynamics.base import State
+from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import length
+
+BRAKING_SHARE = 0.5
+"""Share of the deceleration with which a robot plans to brake; the rest is for control."""
+OVERRUN = 2.0
+"""Cost of each metre by which a robot would overrun a goal, in metres of distance from it."""
+NEAR, NEAR_OF_CAR = 0.75, 0.3
+"""Distance from a goal at which the straight line leads there, not the nodes of a field [m]; less
+for a car, which must manoeuvre."""
+DETOUR, SLACK = 2.0, 0.5
+"""Longest way, in straight lines and beyond them [m], that is near: longer ones lead round a wall.
+Ways count double where they are narrow."""
+FADING = 0.3
+"""Distance from the goal below which the direction of motion counts less [m]."""
+SETTLING = 0.3
+"""Cost of a squared speed at the goal, so that a robot comes to rest there [s^2/m]."""
+HEADING = 0.5
+"""Half the cost of facing away from the heading at the goal [m]."""
+
+
+def with_overrun(state: State, distance: Scalar) -> Scalar:
+    """Return a distance to go, plus twice that by which the robot would overrun its end [m].
+
+        d + 2 e(d)
+
+    So a robot brakes in time, also where its braking distance is longer than the horizon.
+
+    Args:
+        state: state of the robot.
+        distance: distance to go, d [m].
+    """
+    return distance + OVERRUN * overrun(state, distance)
+
+
+def overrun(state: State, distance: Scalar) -> Scalar:
+    """Return the distance by which a robot would overrun a point if it braked from now on [m]:
+
+        e(d) = max(s - d, 0),   s = v^2 / a
+
+    s is the distance in which it comes to rest with half of its deceleration a
+    (`Dynamics.deceleration`).
+
+    Args:
+        state: state of the robot.
+        distance: distance to the point, d [m].
+    """
+    return jnp.maximum(state.stopping_distance / BRAKING_SHARE - distance, 0.0)
+
+
+def homing_cost(
+    state: State,
+    field: GuidanceField,
+    to_go: Scalar,
+    goal: Position,
+    heading: Scalar | None,
+    turning: Scalar,
+) -> Scalar:
+    """Return the cost of driving to a goal and coming to rest there [m].
+
+    It is `with_overrun` of the distance to go, plus `turning` times what is missing of facing the
+    way, plus 0.3 s^2/m of the squared speed within about 0.3 m of the goal. Close to the goal the
+    distance and the way are those of the straight line, as the nodes of a field are coarser than
+    the radius of a goal.
+
+    Args:
+        state: state of the robot.
+        field: cost-to-go to the goal.
+        to_go: cost-to-go at the state, beyond that at the goal [m].
+        goal: position (x, y) of the goal [m].
+        heading: heading at the goal [rad]; any when None.
+        turning: cost of facing sideways [m].
+    """
+    position, yaw, dynamics = state.position, state.heading, state.dynamics
+    x, y = (-each for each in offset(state, goal))
+    distance = length(x, y)
+    near = jnp.where(dynamics.turning_radius > 0.0, NEAR_OF_CAR, NEAR)
+    is_near = (distance < near) & (to_go < DETOUR * distance + SLACK)
+    way = field.direction(position)
+    inverse = 1.0 / jnp.maximum(distance, 1e-3)
+    x, y = (
+        jnp.where(is_near, straight * inverse, along)
+        for straight, along in zip((x, y), way, strict=True)
+    )
+    sin, cos = sin_cos(yaw)
+    missing = length(x, y) - (cos * x + sin * y)
+    fading = jnp.minimum(distance / FADING, 1.0)
+    total = with_overrun(state, jnp.where(is_near, distance, to_go)) + turning * fading * missing
+    nearness = jnp.exp(-((distance / FADING) ** 2))
+    total = total + SETTLING * nearness * state.squared_speed
+    if heading is None:
+        return total
+    return total + HEADING * nearness * (1.0 - sin_cos(yaw - heading)[1])

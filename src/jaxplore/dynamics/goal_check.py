@@ -1,0 +1,123 @@
+"""When a goal is reached: the one definition of all tasks, in simulation and on a robot."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxplore import _checks
+from jaxplore._types import ArrayLike, Scalar, Vector
+from jaxplore.dynamics.base import Dynamics
+
+GOAL_RADIUS = 0.15
+"""Distance from a goal within which it is reached [m]."""
+GOAL_TOLERANCE = 0.1
+"""Greatest error of the heading at a goal that has one [rad]."""
+GOAL_SPEED = 0.05
+"""Speed up to which a robot is at rest [m/s]."""
+ARM = 0.5
+"""Distance from the robot's centre that moves no faster than that, for turns [m]."""
+
+
+class Motion(NamedTuple):
+    """How fast a robot moves.
+
+    Args:
+        speed: its speed, in any direction [m/s].
+        turn_rate: its turn rate [rad/s].
+    """
+
+    speed: ArrayLike
+    turn_rate: ArrayLike
+
+    @classmethod
+    def between(cls, robot: Dynamics, before: Any, after: Any, dt: Scalar) -> "Motion":
+        """Return the mean motion over a step.
+
+        Args:
+            robot: model of the robot.
+            before: (nx,) state before the step.
+            after: (nx,) state after it.
+            dt: length of the step [s].
+        """
+        moved = robot.position(after) - robot.position(before)
+        squared = jnp.sum(moved * moved)
+        if "z" in robot.state_names:
+            climbed = robot.component(after, "z") - robot.component(before, "z")
+            squared = squared + climbed * climbed
+        turn = robot.heading(after) - robot.heading(before)
+        # The shortest turn: an attitude has no full turns.
+        turned = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
+        return cls(jnp.sqrt(squared) / dt, turned / dt)
+
+    def is_within(self, speed: ArrayLike) -> Any:
+        """Check whether the robot is no faster than a speed [m/s], nor what is 0.5 m away from its
+        centre by its turn."""
+        return (abs(self.speed) <= speed) & (ARM * abs(self.turn_rate) <= speed)
+
+
+STANDING = Motion(0.0, 0.0)
+"""Motion of a robot that stands."""
+
+
+class GoalCheck(NamedTuple):
+    """Checks whether a robot has reached a goal.
+
+    It has if its position is within `radius`, its heading, where the goal has one, within
+    `tolerance`, and if it is at rest: no faster than `speed`, and turning by no more than
+    `speed / 0.5 m`, which is 0.1 rad/s by default.
+
+    Args:
+        position: position (x, y) of the goal [m].
+        radius: distance within which it is reached [m].
+        heading: heading at the goal [rad]; any when None.
+        tolerance: greatest error of the heading [rad].
+        speed: speed up to which the robot is at rest [m/s].
+    """
+
+    position: Any
+    radius: ArrayLike
+    heading: ArrayLike | None = None
+    tolerance: ArrayLike = GOAL_TOLERANCE
+    speed: ArrayLike = GOAL_SPEED
+
+    @classmethod
+    def of(
+        cls,
+        position: Vector,
+        radius: ArrayLike = GOAL_RADIUS,
+        heading: ArrayLike | None = None,
+        tolerance: ArrayLike = GOAL_TOLERANCE,
+        speed: ArrayLike = GOAL_SPEED,
+    ) -> "GoalCheck":
+        """Make a check of numbers.
+
+        Raises:
+            ValueError: a position or a heading that is not finite, another number that is not
+                positive.
+        """
+        return cls(
+            _checks.vector("goal", position, 2),
+            _checks.scalar("goal_radius", radius, above=0.0),
+            None if heading is None else _checks.scalar("goal_heading", heading),
+            _checks.scalar("goal_tolerance", tolerance, above=0.0),
+            _checks.scalar("goal_speed", speed, above=0.0),
+        )
+
+    def is_at(self, position: Any) -> Any:
+        """Check whether a position (x, y) is within the radius [m]."""
+        offset = position[:2] - self.position
+        return (offset * offset).sum() <= self.radius * self.radius
+
+    def is_reached(self, pose: Any, motion: Motion) -> Any:
+        """Check whether a robot has reached the goal.
+
+        Args:
+            pose: its pose (x, y, yaw), or its position where any heading is right [m, m, rad].
+            motion: how fast it moves.
+        """
+        there = self.is_at(pose) & motion.is_within(self.speed)
+        if self.heading is None:
+            return there
+        xp = np if isinstance(pose, np.ndarray) else jnp
+        return there & (xp.cos(pose[2] - self.heading) >= xp.cos(self.tolerance))

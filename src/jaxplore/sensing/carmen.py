@@ -1,0 +1,293 @@
+"""Parse the lines of logs of CARMEN, and of GMapping's: scans of lidars and odometry.
+
+Source: the log formats of CARMEN, the Carnegie Mellon Robot Navigation Toolkit; GMapping's `gfs`
+files as its grid SLAM processor writes them.
+"""
+
+import math
+from array import array
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxplore._limits import LONGEST, LONGEST_RANGE, MOST_BEAMS
+from jaxplore._text import short_repr
+
+KINDS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "LASER_READING", "RLASER", "ROBOTLASER2")
+KINDS = (*KINDS, *(f"RAWLASER{number}" for number in range(2, 6)))
+"""Kinds of lines with a scan, the preferred one first."""
+NO_ECHO = 80.0
+"""Readings from here on mean that a beam of a SICK LMS got no echo [m]."""
+MOST_SCANS = 200_000
+"""Greatest number of scans of a log."""
+MOST_ODOMETRY = 2_000_000
+"""Greatest number of its lines ODOM."""
+LONGEST_LINE = 4_000_000
+"""Longest line that is read [bytes]."""
+_PARAMS = {b"robot_frontlaser_offset": "front", b"robot_rearlaser_offset": "rear"}
+_FORMS = {
+    "FLASER": "the number n, n ranges, 6 numbers of two poses, a time, a host, a time",
+    "LASER_READING": "the number n, n ranges, 3 numbers of a pose, a time",
+    "RAWLASER": "7 numbers of the lidar, the number n, n ranges, the number m, m remissions, "
+    "a time, a host, a time",
+    "ROBOTLASER": "7 numbers of the lidar, the number n, n ranges, the number m, m remissions, "
+    "6 numbers of two poses, 5 numbers of the robot, a time, a host, a time",
+}
+Floats = NDArray[np.float64]
+
+
+class BadLineError(ValueError):
+    """A line that is no scan: why, and in a word what is wrong with it, by which it is counted."""
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+class Reading(NamedTuple):
+    """A scan as a line has it.
+
+    Args:
+        line: number of the line, from 1.
+        ranges: readings (B,) [m].
+        pose: pose (x, y, yaw) of the lidar [m, m, rad]; None where the line has none.
+        odometry: pose of the robot by its odometry; None where the line has none.
+        time: time [s].
+        angles: direction of the first beam and angle between two [rad]; None without them.
+    """
+
+    line: int
+    ranges: Floats
+    pose: Floats | None
+    odometry: Floats | None
+    time: float
+    angles: tuple[float, float] | None
+
+
+class LogLines:
+    """What the lines of a log say, by their kinds.
+
+    Attributes:
+        readings: scans by kind.
+        breaks: numbers of all lines of each kind, also of those that are no scan.
+        bad: by kind how many lines are no scan, by reason.
+        first_bad: by kind and reason the first of these lines, and what it has.
+        odometry: rows (line, x, y, yaw, time) of the lines ODOM, one after the other.
+        offsets: distance of the lidars ahead of the robot's centre [m].
+    """
+
+    def __init__(self) -> None:
+        self.readings: dict[str, list[Reading]] = {}
+        self.breaks: dict[str, array[int]] = {}
+        self.bad: dict[str, Counter[str]] = {}
+        self.first_bad: dict[tuple[str, str], str] = {}
+        self.odometry: array[float] = array("d")
+        self.offsets = {"front": 0.0, "rear": 0.0}
+
+    def add(self, number: int, line: bytes) -> None:
+        """Take in a line; those of other kinds are skipped.
+
+        Args:
+            number: number of the line, from 1.
+            line: the line.
+
+        Raises:
+            ValueError: more scans, or more lines ODOM, than a log may have.
+        """
+        kind = line[:40].split(None, 1)[0].upper() if line[:40].strip() else b""
+        name = kind.decode("ascii", "replace")
+        if name in KINDS:
+            self._add_scan(number, name, line)
+        elif name == "ODOM":
+            self._add_odometry(number, line)
+        elif name == "PARAM":
+            words = line[:400].split()
+            if len(words) > 2 and words[1] in _PARAMS:
+                value = _number(words[2])
+                if abs(value) < LONGEST_RANGE:
+                    self.offsets[_PARAMS[words[1]]] = value
+
+    def leave_out(self, kind: str, reason: str, number: int, text: str) -> None:
+        """Count a line of a kind that is no scan."""
+        self.bad.setdefault(kind, Counter())[reason] += 1
+        self.first_bad.setdefault((kind, reason), f"line {number} {text}")
+
+    def _add_scan(self, number: int, name: str, line: bytes) -> None:
+        breaks = self.breaks.setdefault(name, array("q"))
+        if len(breaks) == 2 * MOST_SCANS or len(self.readings.get(name, ())) == MOST_SCANS:
+            raise ValueError(f"line {number} is one scan too many; accepted: at most {MOST_SCANS}")
+        breaks.append(number)
+        try:
+            reading = _reading(number, name, line.rstrip(b"\r\n"))
+        except BadLineError as error:
+            self.leave_out(name, error.reason, number, str(error))
+            return
+        self.readings.setdefault(name, []).append(reading)
+
+    def _add_odometry(self, number: int, line: bytes) -> None:
+        words = line[:1000].split()
+        values = [_number(word) for word in words[1:4]]
+        time = _time(words[7:10])
+        if len(values) < 3 or not all(abs(each) <= LONGEST for each in values):
+            return
+        if len(self.odometry) == 5 * MOST_ODOMETRY:
+            raise ValueError(
+                f"line {number} is one line ODOM too many; accepted: at most {MOST_ODOMETRY}"
+            )
+        self.odometry.extend((number, *values, time))
+
+
+def _reading(number: int, name: str, line: bytes) -> Reading:
+    """Return the scan of a line.
+
+    Raises:
+        BadLineError: what the line has instead.
+    """
+    if len(line) > LONGEST_LINE:
+        raise BadLineError(
+            "length", f"has {len(line)} bytes; accepted: at most {LONGEST_LINE} bytes"
+        )
+    family = name.rstrip("12345")
+    if family in ("RAWLASER", "ROBOTLASER"):
+        return _long(number, family, line)
+    words, beams = _counted(line, 1)
+    poses = 3 if name == "LASER_READING" else 6
+    tail = words[2 + beams :]
+    # Old logs end with a host or have none.
+    if not poses < len(tail) <= poses + 3:
+        form = "FLASER" if name == "RLASER" else name
+        raise _columns(words, 2 + beams + poses + (1 if poses == 3 else 3), form, name)
+    time = _time(tail[poses:])
+    if not math.isfinite(time):
+        raise _not_finite(tail[-1])
+    values = _finite(tail[:poses])
+    _check_poses(values)
+    pose, odometry = values[:3], values[-3:]
+    return Reading(number, _ranges(words[2 : 2 + beams], math.inf), pose, odometry, time, None)
+
+
+def _long(number: int, family: str, line: bytes) -> Reading:
+    """Return the scan of a line that describes the lidar."""
+    words, beams = _counted(line, 8, spare=MOST_BEAMS + 20)
+    rest = words[9 + beams :]
+    remissions = _whole(rest[0]) if rest else -1
+    poses = 11 if family == "ROBOTLASER" else 0
+    tail = rest[1 + remissions :]
+    if remissions < 0 or not poses < len(tail) <= poses + 3:
+        wanted = 9 + beams + 1 + max(remissions, 0) + poses + 3
+        raise _columns(words, wanted, family, words[0].decode("ascii", "replace"))
+    _, first, _, step, greatest, *_ = _finite(words[1:8])
+    is_known = step > 0.0 and (beams - 1) * step <= math.tau + 1e-3 and abs(first) <= math.tau
+    values, time = _finite(tail[:poses]), _time(tail[poses:])
+    if not math.isfinite(time):
+        raise _not_finite(tail[-1])
+    _check_poses(values[:6])
+    return Reading(
+        number,
+        _ranges(words[9 : 9 + beams], greatest if greatest > 0.0 else math.inf),
+        values[:3] if poses else None,
+        values[3:6] if poses else None,
+        time,
+        (first, step) if is_known else None,
+    )
+
+
+def _counted(line: bytes, at: int, spare: int = 20) -> tuple[list[bytes], int]:
+    """Return the words of a line, and the number of beams, which is one of them.
+
+    Args:
+        line: the line.
+        at: index of the word with the number.
+        spare: number of words beside the ranges from which on the rest is one word.
+    """
+    head = line.split(None, at + 1)
+    beams = _whole(head[at]) if len(head) > at else 0
+    if not 1 <= beams <= MOST_BEAMS:
+        shown = _shown(head[at]) if len(head) > at else "no"
+        raise BadLineError(
+            "beams", f"has {shown} beams; accepted: a whole number from 1 to {MOST_BEAMS}"
+        )
+    return line.split(None, beams + at + spare), beams
+
+
+def _whole(word: bytes) -> int:
+    return int(word) if word.isdigit() and len(word) < 9 else -1
+
+
+def _number(word: bytes) -> float:
+    # `float` reads texts such as "1_0", and digits of other alphabets only from a text.
+    try:
+        return math.nan if b"_" in word else float(word)
+    except ValueError:
+        return math.nan
+
+
+def _time(words: Sequence[bytes]) -> float:
+    """Return the last of some words that is a finite number; NaN without any."""
+    finite = [value for value in map(_number, words) if math.isfinite(value)]
+    return finite[-1] if finite else math.nan
+
+
+def _values(words: Sequence[bytes]) -> Floats:
+    """Return numbers; NaN for what is none."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return np.array([_number(word) for word in words])
+    if any(b"_" in word for word in words):
+        values = [_number(word) for word in words]
+    return np.array(values)
+
+
+def _finite(words: Sequence[bytes]) -> Floats:
+    values = _values(words)
+    is_bad = ~np.isfinite(values)
+    if is_bad.any():
+        raise _not_finite(words[int(is_bad.argmax())])
+    return values
+
+
+def _ranges(words: Sequence[bytes], greatest: float) -> Floats:
+    """Return readings; those that met nothing are at least `NO_ECHO`.
+
+    Args:
+        words: the words.
+        greatest: greatest reading of the lidar [m]; it met nothing from there on.
+    """
+    values = _values(words)
+    for index in np.flatnonzero(~np.isfinite(values)):
+        # What was converted from ROS has infinite readings where a beam met nothing.
+        if words[index].lower() not in (b"inf", b"+inf"):
+            raise _not_finite(words[index])
+        values[index] = NO_ECHO
+    if not (values.min() >= 0.0 and values.max() <= LONGEST_RANGE):
+        wrong = values[(values < 0.0) | (values > LONGEST_RANGE)][0]
+        raise BadLineError(
+            "ranges", f"has a range of {wrong:g} m; accepted: 0 to {LONGEST_RANGE:g} m"
+        )
+    return np.where(values >= greatest, np.maximum(values, NO_ECHO), values)
+
+
+def _check_poses(values: Floats) -> None:
+    if len(values) and np.abs(values).max() > LONGEST:
+        wrong = values[np.abs(values) > LONGEST][0]
+        raise BadLineError("poses", f"has a pose with {wrong:g}; accepted: up to {LONGEST:g}")
+
+
+def _not_finite(word: bytes) -> BadLineError:
+    return BadLineError(
+        "numbers", f"has {_shown(word)} among its numbers; accepted: finite numbers"
+    )
+
+
+def _columns(words: Sequence[bytes], wanted: int, form: str, name: str) -> BadLineError:
+    return BadLineError(
+        "columns", f"has {len(words)} columns; accepted: {wanted}: {name}, {_FORMS[form]}"
+    )
+
+
+def _shown(word: bytes) -> str:
+    return short_repr(word[:200].decode("ascii", "backslashreplace"))

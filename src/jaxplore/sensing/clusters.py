@@ -1,0 +1,149 @@
+"""Clusters of returns along the beams of a scan, and edges behind which something can be hidden."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxplore._types import Flag, Scalar
+
+SKIPPED = 3
+"""A cluster goes on over up to two beams without a point: a beam may return nothing."""
+
+
+class Clusters(NamedTuple):
+    """Clusters of points, in the order of the beams; those beyond the K-th are left out.
+
+    Args:
+        middle: (K, 2) mean of the points of each [m].
+        width: (K,) distance between its first and its last point [m].
+        count: (K,) number of its points; 0 where there is no such cluster.
+        is_cut: (K,) whether something in front of it may hide a part of it.
+        label: (B,) cluster of each beam; K for none.
+    """
+
+    middle: Float[Array, "K 2"]
+    width: Float[Array, " K"]
+    count: Int[Array, " K"]
+    is_cut: Bool[Array, " K"]
+    label: Int[Array, " B"]
+
+
+def cluster_points(
+    points: Float[Array, "B 2"],
+    ranges: Float[Array, " B"],
+    is_point: Bool[Array, " B"],
+    gap: Scalar,
+    number: int,
+    *,
+    is_circle: bool,
+) -> Clusters:
+    """Join neighbouring points of a scan whose distance is at most `gap`.
+
+    Args:
+        points: (B, 2) ends of the beams [m].
+        ranges: (B,) their ranges [m].
+        is_point: (B,) beams whose ends count.
+        gap: greatest distance of neighbouring points of a cluster [m].
+        number: greatest number of clusters, K; static.
+        is_circle: whether the first beam is beside the last; static.
+    """
+    size = points.shape[0]
+    index = jnp.arange(size, dtype=jnp.int32)
+    # The point before each: a running maximum over two rounds, of which the first one counts
+    # backwards from the first beam.
+    marks = jnp.concatenate([jnp.where(is_point, index - size, -2 * size)] * 2)
+    marks = marks.at[size:].add(jnp.where(is_point, size, 0))
+    former = jnp.roll(jax.lax.cummax(marks), 1)[size:]
+    before = former % size
+    near = jnp.linalg.norm(points - points[before], axis=-1) <= gap
+    is_joined = is_point & near & (index - former <= SKIPPED) & (former > -size)
+    if not is_circle:
+        is_joined &= former >= 0
+    is_first = is_point & ~is_joined
+    # Rolled so that the first beam begins a cluster, no cluster crosses the end of the arrays.
+    shift = jnp.argmax(is_first)
+    order = (index + shift) % size
+    label = jnp.maximum(jnp.cumsum(is_first[order], dtype=jnp.int32) - 1, 0)
+    label = jnp.where(is_point[order] & (label < number), label, number)
+    count = jax.ops.segment_sum(jnp.ones(size, jnp.int32), label, number + 1)[:number]
+    total = jax.ops.segment_sum(points[order], label, number + 1)[:number]
+    first = jnp.clip(jax.ops.segment_min(index, label, number + 1)[:number], 0, size - 1)
+    last = jnp.clip(jax.ops.segment_max(index, label, number + 1)[:number], 0, size - 1)
+    left, right = order[first], order[last]
+    width = jnp.linalg.norm(points[left] - points[right], axis=-1)
+    is_cut = _is_behind(ranges, left, -1, gap, is_circle) | _is_behind(
+        ranges, right, 1, gap, is_circle
+    )
+    return Clusters(
+        total / jnp.maximum(count, 1)[:, None].astype(total.dtype),
+        jnp.where(count > 0, width, 0.0),
+        count,
+        is_cut & (count > 0),
+        jnp.zeros(size, jnp.int32).at[order].set(label),
+    )
+
+
+def _is_behind(
+    ranges: Float[Array, " B"], edge: Int[Array, " K"], step: int, gap: Scalar, is_circle: bool
+) -> Bool[Array, " K"]:
+    """Check whether the beam beside an edge ends before it, or there is none."""
+    size = ranges.shape[0]
+    beside = edge + step
+    is_shorter = (ranges[beside % size] < ranges[edge] - gap) & (ranges[beside % size] > 0.0)
+    return is_shorter if is_circle else is_shorter | (beside < 0) | (beside >= size)
+
+
+class Edges(NamedTuple):
+    """Edges of things behind which the robot does not see, the nearest first.
+
+    Args:
+        position: (E, 2) their positions [m].
+        is_there: (E,) which of them there are.
+    """
+
+    position: Float[Array, "E 2"]
+    is_there: Bool[Array, " E"]
+
+    @classmethod
+    def none(cls, number: int) -> "Edges":
+        """Return a number of edges that are not there."""
+        return cls(jnp.zeros((number, 2)), jnp.zeros(number, bool))
+
+
+def hiding_edges(
+    points: Float[Array, "B 2"],
+    ranges: Float[Array, " B"],
+    is_edge: Bool[Array, " B"],
+    width: Scalar,
+    number: int,
+    *,
+    is_circle: bool,
+) -> Edges:
+    """Find where the range jumps by more than the width of what may be hidden.
+
+    The nearer one of two such neighbours is on the edge of something that hides what is behind it,
+    and the farther one tells that there is room.
+
+    Args:
+        points: (B, 2) ends of the beams [m].
+        ranges: (B,) their ranges [m]; the greatest one where nothing was met.
+        is_edge: (B,) ends that can be such an edge: those at something that does not move.
+        width: width of what may be hidden [m].
+        number: greatest number of edges, E; static.
+        is_circle: whether the first beam is beside the last; static.
+    """
+    is_valid = ranges > 0.0
+
+    def is_deeper(step: int) -> Bool[Array, " B"]:
+        beside = jnp.roll(ranges, step)
+        jump: Flag = (beside > ranges + width) & jnp.roll(is_valid, step)
+        if not is_circle:
+            jump = jump.at[0 if step > 0 else -1].set(False)
+        return jump
+
+    is_there = is_edge & is_valid & (is_deeper(1) | is_deeper(-1))
+    number = min(number, ranges.shape[0])
+    away, index = jax.lax.top_k(jnp.where(is_there, -ranges, -jnp.inf), number)
+    return Edges(points[index], jnp.isfinite(away))
