@@ -175,6 +175,32 @@ def test_who_stands_is_mapped_and_who_walks_is_not() -> None:
         np.testing.assert_array_equal(is_moving, scan.is_return & (scan.ranges < 3.0))
 
 
+FORMER = clearance_field(~EMPTY.is_free, EMPTY.frame, 1.0)
+
+
+def test_who_comes_from_unknown_space_does_not_take_his_cells_along() -> None:
+    # The map has the cells of the last scan as occupied: alone it explains every step of 5 cm.
+    tracks, found = TRACKER.init(FORMER), []
+    for step in range(12):
+        y = 10.5 - 0.05 * step
+        behind = int(10 * y) - 1
+        known = hall((slice(behind, behind + 6), slice(76, 84)))
+        discs = np.float32([[8.0, y, 0.3]])
+        key = jax.random.key(step)
+        tracks, is_moving, scan, obstacles = look(
+            tracks, EMPTY, known, discs, np.float32(PERIOD), key
+        )
+        found.append(bool(is_moving.any()))
+        assert scan.is_return.any()
+    assert all(found[:5])
+    np.testing.assert_array_equal(obstacles.is_known.sum(), 1)
+    # Without former maps nothing of him is seen to move.
+    _, is_moving, *_ = look(
+        TRACKER.init(), EMPTY, known, discs, np.float32(PERIOD), jax.random.key(0)
+    )
+    assert not is_moving.any()
+
+
 def counted(objects, is_seen, tracks, identity, is_known, within):
     """Return misses, false positives and switches, with all matchings of a frame enumerated."""
     last, misses, false_positives, switches = {}, 0, 0, 0

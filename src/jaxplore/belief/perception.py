@@ -241,7 +241,7 @@ class Perception(BeliefFields):
         dwell = jnp.zeros_like(information.total)
         nothing = jnp.zeros(())
         guidance, is_explored = self._guided(grid, clearance, information, dwell, pose)
-        tracks = None if self.tracker is None else self.tracker.init()
+        tracks = None if self.tracker is None else self.tracker.init(clearance)
         return Belief(
             grid,
             clearance,
@@ -282,7 +282,11 @@ class Perception(BeliefFields):
             belief: belief with the former map.
             grid: the map, with the cells of the former one.
         """
-        return dataclasses.replace(belief, grid=grid, clearance=self._clearance(grid))
+        clearance, tracks = self._clearance(grid), belief.tracks
+        if tracks is not None and tracks.former is not None:
+            # Former maps have their walls at other places.
+            tracks = tracks._replace(former=jnp.stack([clearance.values] * 2))
+        return dataclasses.replace(belief, grid=grid, clearance=clearance, tracks=tracks)
 
     def remapped(self, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief with another map, all of whose fields are made anew.

@@ -1,5 +1,6 @@
 """Find and track what moves, from scans: returns that the map does not explain."""
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,6 +22,8 @@ from jaxplore.sensing.clusters import Clusters, Edges, cluster_points, hiding_ed
 EXPLAINED = 0.2
 """Distance from the nearest cell that is not known to be free up to which the map explains a
 return [m]: two cells of 0.1 m, for the noise of ranges and of the pose."""
+LOOK_BACK = 0.5
+"""Time between the former maps that are kept [s]. The older one is 0.5 s to 1 s old."""
 GATE = 11.83
 """Squared Mahalanobis distance within which a true measurement lies in 997 of 1000 cases (two
 degrees of freedom)."""
@@ -64,6 +67,7 @@ class Tracks(NamedTuple):
         next_identity: number of the next track.
         time: time of the last scan [s].
         edges: edges behind which something can be hidden.
+        former: (2, H, W) clearance at two moments before, the older one first [m]; None without.
     """
 
     mean: Float[Array, "N 4"]
@@ -78,6 +82,7 @@ class Tracks(NamedTuple):
     next_identity: Int[Array, ""]
     time: Scalar
     edges: Edges
+    former: Float[Array, "2 H W"] | None = None
 
     @property
     def is_confirmed(self) -> Bool[Array, " N"]:
@@ -94,8 +99,9 @@ class ObstacleTracker(eqx.Module):
     """Finds what moves in scans, and tracks it.
 
     1. **Detection.** The map does not explain a return that is farther than 0.2 m from all cells
-       that are not known to be free. Such returns are joined along the beams to clusters of at
-       most 1.2 m. A wall that appears is wider.
+       that are not known to be free, now or half a second to a second ago: the cells of somebody
+       who comes from unknown space are occupied, and would otherwise follow him. Such returns are
+       joined along the beams to clusters of at most 1.2 m. A wall that appears is wider.
     2. **Association.** Each cluster is the measurement of at most one track. Pairs are those of the
        least sum of squared Mahalanobis distances (global nearest neighbour), each within a gate.
     3. **Kalman filter** with constant velocity, of which the acceleration is white noise, with the
@@ -158,8 +164,13 @@ class ObstacleTracker(eqx.Module):
         self.patience = _checks.scalar("patience", patience, above=0.0)
         self.standing = _checks.scalar("standing", standing, above=0.0)
 
-    def init(self) -> Tracks:
-        """Return the state without a track."""
+    def init(self, clearance: ScalarField | None = None) -> Tracks:
+        """Return the state without a track.
+
+        Args:
+            clearance: distance to the nearest cell that is not known to be free, of the first map;
+                without it former maps explain everything.
+        """
         number = self.num_tracks
         nothing = jnp.zeros(number)
         return Tracks(
@@ -173,6 +184,7 @@ class ObstacleTracker(eqx.Module):
             jnp.ones((), jnp.int32),
             jnp.zeros(()),
             Edges.none(NUM_EDGES),
+            None if clearance is None else jnp.stack([clearance.values] * 2),
         )
 
     def obstacles(self, tracks: Tracks) -> Obstacles:
@@ -211,7 +223,8 @@ class ObstacleTracker(eqx.Module):
             The tracks, and the returns (B,) of what moves, which belong into no map.
         """
         ends = beam_ends(sensor, scan, pose)
-        is_moving = scan.is_return & is_unexplained(clearance, ends)
+        is_moving = scan.is_return & is_unexplained(tracks, clearance, ends)
+        tracks = _remember(tracks, clearance, elapsed)
         clusters = cluster_points(
             *(ends, scan.ranges, is_moving, jnp.asarray(GAP), self.num_tracks),
             is_circle=sensor.is_full_circle,
@@ -252,7 +265,7 @@ class ObstacleTracker(eqx.Module):
         """
         seen = jnp.where(tracks.is_confirmed, tracks.speed, 0.0)
         fastest = jnp.maximum(self.max_speed, jnp.max(seen))
-        return jnp.where(is_point & is_unexplained(clearance, points), fastest, 0.0)
+        return jnp.where(is_point & is_unexplained(tracks, clearance, points), fastest, 0.0)
 
     def _predict(self, tracks: Tracks, elapsed: Scalar) -> Tracks:
         """Return the tracks after a time without a measurement."""
@@ -384,14 +397,37 @@ def beam_ends(sensor: Sensor, scan: Scan, pose: Pose) -> Float[Array, "B 2"]:
     return pose[:2] + scan.ranges[:, None] * directions
 
 
-def is_unexplained(clearance: ScalarField, points: Float[Array, "P 2"]) -> Bool[Array, " P"]:
-    """Check which points (P,) the map does not explain: those in space that it knows to be free.
+def is_unexplained(
+    tracks: Tracks, clearance: ScalarField, points: Float[Array, "P 2"]
+) -> Bool[Array, " P"]:
+    """Check which points (P,) the map does not explain: those in space that it knows to be free, or
+    knew to be free a little while ago.
 
     Args:
+        tracks: the tracks, with the former maps.
         clearance: distance to the nearest cell that is not known to be free [m].
         points: (P, 2) points [m].
     """
-    return jax.vmap(clearance)(points) > EXPLAINED
+    room = jax.vmap(clearance)(points)
+    if tracks.former is not None:
+        former = dataclasses.replace(clearance, values=tracks.former[0])
+        room = jnp.maximum(room, jax.vmap(former)(points))
+    return room > EXPLAINED
+
+
+def _remember(tracks: Tracks, clearance: ScalarField, elapsed: Scalar) -> Tracks:
+    """Return the tracks with the present map among the former ones, where a look-back is over."""
+    if tracks.former is None:
+        return tracks
+    before = jnp.floor(tracks.time / LOOK_BACK)
+    is_over = jnp.floor((tracks.time + elapsed) / LOOK_BACK) > before
+    former = jax.lax.cond(
+        is_over,
+        lambda each: jnp.stack([each[1], clearance.values]),
+        lambda each: each,
+        tracks.former,
+    )
+    return tracks._replace(former=former)
 
 
 def _is_double(tracks: Tracks) -> Bool[Array, " N"]:
