@@ -578,7 +578,7 @@ def test_a_map_that_is_no_file_is_answered_with_what_there_is(fails, tmp_path: P
     Path("maps/depot.yaml").write_text("")
     assert "such as maps/depot.yaml" in fails("run", "maps")
     # Files of other kinds are not read as YAML.
-    for name in ("cloud.las", "tree.ot", "picture.jpg"):
+    for name in ("cloud.e57", "tree.vxl", "picture.jpg"):
         Path(name).write_bytes(b"\0\1")
         line = fails("run", name)
         assert f"{name} is of another kind; accepted: a file that ends with .yaml, .yml, .s" in line

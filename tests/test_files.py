@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxplore import _files
-from jaxplore._files import open_regular, parse_json, parse_yaml, read_bytes
+from jaxplore._files import open_regular, parse_json, parse_yaml, read_bytes, read_yaml
 from jaxplore.cli._entries import assign_all
 from jaxplore.maps.files.images import read_greys
 from jaxplore.settings.sections import SETTINGS_LIMIT, read_settings
@@ -109,6 +109,20 @@ def test_all_yaml_is_read_with_the_limits(read, tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=r".") as error:
             read(tmp_path / name)
         assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"P5\n4 3\n255\n\xfe\0\xcd", b"\x89PNG\r\n\x1a\n", b"a: \0"])
+def test_what_is_no_text_is_said_so_and_the_yaml_beside_it_is_named(
+    tmp_path: Path, content: bytes
+) -> None:
+    (tmp_path / "map.pgm").write_bytes(content)
+    with pytest.raises(ValueError, match=r"not a map's YAML: it (holds what )?is no text"):
+        read_yaml(tmp_path / "map.pgm")
+    with pytest.raises(ValueError, match=r"map.pgm is not YAML: it (holds what )?is no text"):
+        read_settings(tmp_path / "map.pgm")
+    (tmp_path / "map.yaml").write_text("image: map.pgm\n")
+    with pytest.raises(ValueError, match=r"accepted: .*map.yaml, which is beside it"):
+        read_yaml(tmp_path / "map.pgm")
 
 
 def test_large_settings_are_refused_before_they_are_read(tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ from jaxplore._text import error_reason, printable_path, short_repr
 
 YAML_LIMIT = 100_000
 """Largest YAML file that is read where nothing else is said [bytes]."""
+YAML_SUFFIXES = (".yaml", ".yml")
+"""Endings of YAML files."""
 JSON_LIMIT = 1_000_000
 """Largest JSON text that is read where nothing else is said [bytes]."""
 # Exceptions that content of a wrong form raises where it is used, beside those of parsers.
@@ -142,10 +144,22 @@ def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[obje
     try:
         entries = parse_yaml(data, limit)
     except ValueError as error:
-        raise ValueError(f"{where} is not a {of}'s YAML: {error}") from None
+        beside = yaml_beside(path)
+        named = (
+            "" if beside is None else f"; accepted: {printable_path(beside)}, which is beside it"
+        )
+        raise ValueError(f"{where} is not a {of}'s YAML: {error}{named}") from None
     if not isinstance(entries, dict):
         raise ValueError(f"{where} holds {short_repr(entries)}; accepted: a YAML mapping of a {of}")
     return entries
+
+
+def yaml_beside(path: Path) -> Path | None:
+    """Return the YAML file of the same name beside a file of another kind; None without one."""
+    if path.suffix in YAML_SUFFIXES:
+        return None
+    beside = (path.with_suffix(ending) for ending in YAML_SUFFIXES)
+    return next((each for each in beside if each.is_file()), None)
 
 
 def parse_yaml(text: bytes | str, limit: int = YAML_LIMIT) -> Any:
@@ -165,6 +179,8 @@ def parse_yaml(text: bytes | str, limit: int = YAML_LIMIT) -> Any:
         value = yaml.load(readable, _LOADER)
     except UnicodeError:
         raise ValueError("it is no text in UTF-8") from None
+    except yaml.reader.ReaderError:
+        raise ValueError("it holds what is no text") from None
     except (ValueError, yaml.YAMLError) as error:
         raise ValueError(error_reason(error)) from None
     except Exception as error:

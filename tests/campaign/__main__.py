@@ -126,9 +126,11 @@ def everything(
                 yield category, name, trials.run(case)
     if "mutations" in options.only:
         # In parts, so that the report grows.
-        each = -(-options.mutations // len(FORMATS))
+        each = math.ceil(options.mutations / sum(form.share for form in FORMATS.values()))
         for part, name in itertools.product(range(-(-each // _AT_ONCE)), FORMATS):
-            number = min(_AT_ONCE, each - part * _AT_ONCE)
+            number = min(_AT_ONCE, round(each * FORMATS[name].share) - part * _AT_ONCE)
+            if number < 1:
+                continue
             for mutation, judged in mutate(trials, name, number, options.seed + part):
                 yield f"mutations: {name}", f"seed {options.seed + part}: {mutation}", judged
     if "kills" in options.only:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import yaml
 from hypothesis import strategies as st
 
-from . import kept
+from . import kept, volumes
 from .contents import VALUES, encoded
 
 PARTS = (
@@ -27,11 +27,13 @@ class Format(NamedTuple):
         file: the valid file; a folder is copied whole before the file in it is mutated.
         arguments: the command, with the mutated copy in its working directory.
         is_tree: whether the entries of the file are mutated too, and not only its bytes.
+        share: mutations by those of other formats; fewer where a process is started for each.
     """
 
     file: str
     arguments: Sequence[str]
     is_tree: bool = False
+    share: float = 1.0
 
 
 FORMATS = {
@@ -61,6 +63,10 @@ FORMATS = {
     "bag": Format("bag/bag.db3", ["replay", "bag"]),
     "metadata of a bag": Format("bag/metadata.yaml", ["replay", "bag"], is_tree=True),
     "terrain": Format("terrain.npz", ["terrain", "terrain.npz"]),
+    **{
+        f"volume {each}": Format(f"room.{each}", volumes.arguments(each), share=0.1)
+        for each in volumes.FILES
+    },
 }
 """Formats by name. `terrain` is no command of jaxplore: see `command.call`."""
 

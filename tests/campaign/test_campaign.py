@@ -16,7 +16,7 @@ from .trials import Trials
 
 pytestmark = pytest.mark.long
 
-NUM_CASES, NUM_MUTATIONS = 34, 10
+NUM_CASES, NUM_MUTATIONS, LEAST_MUTATIONS = 34, 10, 3
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,9 @@ def test_the_files_that_are_mutated_are_accepted(name: str, trials: Trials) -> N
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_mutated_files_are_accepted_or_refused_in_one_line(name: str, trials: Trials) -> None:
-    @hypothesis.settings(max_examples=NUM_MUTATIONS, database=None)
+    number = max(LEAST_MUTATIONS, round(NUM_MUTATIONS * FORMATS[name].share))
+
+    @hypothesis.settings(max_examples=number, database=None)
     @hypothesis.given(MUTATIONS)
     def check(mutation: Any) -> None:
         judged = trials.mutate(name, mutation)

@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from . import places
+from . import places, volumes
 from .cases import IMPOSSIBLE, Case
 from .command import call
 from .mutations import FORMATS, place
@@ -25,6 +25,7 @@ class Trials:
         places.write_files(self.base)
         places.write_bag(self.base)
         places.write_kept(self.base)
+        volumes.write_volumes(self.base)
 
     def run(self, case: Case) -> Judged:
         """Run a case in an empty folder."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxplore._files import parse_yaml
+from jaxplore._files import YAML_SUFFIXES, parse_yaml, yaml_beside
 from jaxplore._spelling import spelled
 from jaxplore._text import printable_path, short_repr
 from jaxplore.maps.files.volume_file import SUFFIXES
@@ -142,9 +142,6 @@ def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
     return {"map": str(Path(name).absolute())}
 
 
-_YAML = (".yaml", ".yml")
-
-
 def _check_file(path: Path) -> None:
     """Raise a `ValueError` that names what there is, if a map is not a file."""
     accepted = (
@@ -157,19 +154,14 @@ def _check_file(path: Path) -> None:
         raise ValueError(f"{printable_path(path)} is a folder; accepted: a file{example}")
     if not path.exists():
         raise ValueError(f"{printable_path(path)} is not there; accepted: {accepted}")
-    endings = (*_YAML, *SUFFIXES)
+    endings = (*YAML_SUFFIXES, *SUFFIXES)
     if path.suffix and path.suffix.lower() not in endings:
+        beside = yaml_beside(path)
+        named = "" if beside is None else f"{printable_path(beside)}, which is beside it, or "
         raise ValueError(
-            f"{printable_path(path)} is of another kind; accepted: {_namer(path)}a file that ends "
-            f"with {', '.join(endings)}"
+            f"{printable_path(path)} is of another kind; accepted: {named}a file that ends with "
+            f"{', '.join(endings)}"
         )
-
-
-def _namer(image: Path) -> str:
-    """Return the words that name the YAML file beside an image whose map it is; none without."""
-    beside = (image.with_suffix(ending) for ending in _YAML)
-    found = next((each for each in beside if each.is_file()), None)
-    return "" if found is None else f"{printable_path(found)}, which is beside it, or "
 
 
 def assign(entries: dict[str, Any], name: str, value: Any) -> None:

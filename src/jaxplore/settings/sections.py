@@ -210,6 +210,8 @@ def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> 
     data = read_bytes(Path(path), "a settings YAML", SETTINGS_LIMIT, f"{where} cannot be read: it")
     try:
         entries = parse_yaml(data.decode(), SETTINGS_LIMIT)
+    except UnicodeDecodeError:
+        raise ValueError(f"{where} is not YAML: it is no text in UTF-8") from None
     except ValueError as error:
         raise ValueError(f"{where} is not YAML: {error}") from None
     if not isinstance(entries, dict):

@@ -26,12 +26,12 @@ def read(data: bytes, kind: str) -> tuple[np.ndarray, np.ndarray, dict[str, Any]
     What it says is `up`, the axis x, y or z, and `unit` [m], where the format has them.
     """
     if kind == "pcd":
-        from pypcd4 import PointCloud
+        from pypcd4.pypcd4 import PointCloud
 
         cloud = PointCloud.from_fileobj(io.BytesIO(data))  # type: ignore[arg-type]
         return cloud.numpy(("x", "y", "z")), np.zeros((0, 3), np.int32), {}
     if kind in ("las", "laz"):
-        import laspy
+        import laspy  # type: ignore[import-untyped]
 
         with laspy.open(io.BytesIO(data), closefd=False) as file:
             parts = [

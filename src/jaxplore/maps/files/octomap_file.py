@@ -132,11 +132,11 @@ class _Binary:
 
     def below(self, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which of the eight children (N, 8) of nodes are nodes as well."""
-        return self._states(nodes) == _INNER
+        return np.asarray(self._states(nodes) == _INNER)
 
     def counts(self) -> NDArray[np.int8]:
         """Return the number of these children, of all nodes."""
-        return np.bitwise_count(self._codes & self._codes >> 1 & 0x5555).astype(np.int8)
+        return np.asarray(np.bitwise_count(self._codes & self._codes >> 1 & 0x5555), np.int8)
 
     def leaves(self, nodes: NDArray[np.int64], corners: NDArray[np.int32], size: int) -> Leaves:
         """Return the leaves below nodes of one size."""
@@ -147,8 +147,7 @@ class _Binary:
         return Leaves(corners[which] + half * _OFFSETS[child], half, states[which, child] == _FREE)
 
     def _states(self, nodes: NDArray[np.int64]) -> NDArray[np.uint16]:
-        states: NDArray[np.uint16] = self._codes[nodes, None] >> _BITS & 3
-        return states
+        return np.asarray(self._codes[nodes, None] >> _BITS & 3, np.uint16)
 
 
 class _Full:
@@ -163,11 +162,11 @@ class _Full:
 
     def below(self, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which children (N, 8) nodes have."""
-        return (self._rows[nodes, -1, None] >> _CHILDREN & 1) == 1
+        return np.asarray((self._rows[nodes, -1, None] >> _CHILDREN & 1) == 1)
 
     def counts(self) -> NDArray[np.int8]:
         """Return the number of children of all nodes."""
-        return np.bitwise_count(self._rows[:, -1]).astype(np.int8)
+        return np.asarray(np.bitwise_count(self._rows[:, -1]), np.int8)
 
     def leaves(self, nodes: NDArray[np.int64], corners: NDArray[np.int32], size: int) -> Leaves:
         """Return the leaves among nodes of one size."""
@@ -198,7 +197,7 @@ def _levels(nodes: _Binary | _Full) -> Iterator[tuple[NDArray[np.int64], NDArray
 
     def last_below(node: NDArray[np.int64]) -> NDArray[np.int64]:
         before = np.where(node > 0, sums[node - 1], 0)
-        return order[np.searchsorted(order, before * number + node)] - before * number
+        return np.asarray(order[np.searchsorted(order, before * number + node)] - before * number)
 
     level, corners = np.zeros(1, np.int64), np.zeros((1, 3), np.int32)
     for depth in range(DEPTH + 1):
