@@ -75,6 +75,7 @@ def kinds() -> dict[str, Kind]:
         "differential drive": jx.DifferentialDrive(),
         "weak brakes": jx.DifferentialDrive(max_acceleration=0.3),
         "omnidirectional": jx.Omnidirectional(),
+        "point mass": jx.PointMass(max_speed=1.0),
         "car": jx.Ackermann(max_speed=1.0, min_speed=-0.5),
     }
     made = {

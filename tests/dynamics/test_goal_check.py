@@ -77,6 +77,10 @@ def test_motion_is_that_of_the_step_also_upwards_and_across_a_full_turn() -> Non
     assert float(speed) == pytest.approx(0.7, rel=1e-3)
     assert float(rate) == pytest.approx(0.3, rel=1e-2)
     assert bool(STANDING.is_within(0.05))
+    # The heading of a point mass, its direction of travel, turns round where it stands.
+    mass = jx.PointMass()
+    before, after = jnp.asarray([0.0, 0.0, 0.01, 0.0]), jnp.asarray([0.0, 0.0, -0.01, 0.0])
+    assert [float(each) for each in Motion.between(mass, before, after, dt)] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("name", ["radius", "tolerance", "speed"])

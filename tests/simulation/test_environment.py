@@ -273,6 +273,7 @@ def test_waypoints_are_reached_around_walls_without_touching_and_end_at_the_goal
         perception=Perception(lidar, 0.1, 0.2, num_directions=16, goal=goal, max_unknown=1.0),
         goal=goal,
         goal_radius=radius,
+        goal_speed=10.0,  # in motion, so that the step in which it gets there is known
         max_unknown=1.0,
     )
     environment = Environment(

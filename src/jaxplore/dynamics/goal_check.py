@@ -27,8 +27,9 @@ class Motion(NamedTuple):
         turn_rate: its turn rate [rad/s].
     """
 
-    speed: ArrayLike
-    turn_rate: ArrayLike
+    # Numbers of a robot, or arrays of a simulation.
+    speed: Any
+    turn_rate: Any
 
     @classmethod
     def between(cls, robot: Dynamics, before: Any, after: Any, dt: Scalar) -> "Motion":
@@ -45,12 +46,16 @@ class Motion(NamedTuple):
         if "z" in robot.state_names:
             climbed = robot.component(after, "z") - robot.component(before, "z")
             squared = squared + climbed * climbed
+        names = set(robot.state_names)
+        if {"vx", "vy"} <= names and not {"yaw", "qw"} & names:
+            # The heading of a point mass is its direction of travel, and jumps where it stands.
+            return cls(jnp.sqrt(squared) / dt, jnp.zeros(()))
         turn = robot.heading(after) - robot.heading(before)
         # The shortest turn: an attitude has no full turns.
         turned = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
         return cls(jnp.sqrt(squared) / dt, turned / dt)
 
-    def is_within(self, speed: ArrayLike) -> Any:
+    def is_within(self, speed: Any) -> Any:
         """Check whether the robot is no faster than a speed [m/s], nor what is 0.5 m away from its
         centre by its turn."""
         return (abs(self.speed) <= speed) & (ARM * abs(self.turn_rate) <= speed)
@@ -75,11 +80,12 @@ class GoalCheck(NamedTuple):
         speed: speed up to which the robot is at rest [m/s].
     """
 
+    # Numbers of a robot, or arrays of a simulation.
     position: Any
-    radius: ArrayLike
-    heading: ArrayLike | None = None
-    tolerance: ArrayLike = GOAL_TOLERANCE
-    speed: ArrayLike = GOAL_SPEED
+    radius: Any
+    heading: Any = None
+    tolerance: Any = GOAL_TOLERANCE
+    speed: Any = GOAL_SPEED
 
     @classmethod
     def of(

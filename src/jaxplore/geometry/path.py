@@ -344,10 +344,10 @@ def _hermite(
 
 
 def _checked_stops(stops: Vector, length: float, *, is_closed: bool) -> np.ndarray:
-    given = np.asarray(stops, np.float64).reshape(-1)
+    kind = "none, for a closed path" if is_closed else f"rising numbers in (0, {length:g}) [m]"
+    given = np.asarray(_checks.floats("stops", stops, kind), np.float64).reshape(-1)
     ends = np.concatenate([[0.0], given, [length]])
     if given.size and (is_closed or not (np.diff(ends) > 0.0).all()):
-        kind = "none, for a closed path" if is_closed else f"rising numbers in (0, {length:g}) [m]"
         raise ValueError(f"stops is {stops!r}; accepted: {kind}")
     return given
 

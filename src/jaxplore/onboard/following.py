@@ -122,9 +122,8 @@ def pieces_of_points(points: np.ndarray) -> list[Path]:
     ends = [0, *turns.tolist(), len(kept) - 1]
     pieces = [kept[first : last + 1] for first, last in itertools.pairwise(ends)]
     long = [each for each in pieces if np.hypot(*np.diff(each, axis=0).T).sum() >= LEAST_LENGTH]
-    return (
-        [path_of_points(each) for each in long] if len(turns) and long else [path_of_points(given)]
-    )
+    # Points that make no path are refused as they were given.
+    return [path_of_points(each) for each in (long if len(turns) and long else [given])]
 
 
 def path_of_points(points: np.ndarray) -> Path:

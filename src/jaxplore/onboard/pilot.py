@@ -264,7 +264,9 @@ class Pilot:
             return self._stopping(now, elapsed, mode, problem)
         self._adapt()
         state = self._state(now)
-        waits_for = self.task.waits_for(np.asarray(state[:2]), self._motion)
+        assert self._history.last is not None
+        motion = _motion(self._history.last.twist)
+        waits_for = self.task.waits_for(np.asarray(state[:2]), motion)
         if waits_for:
             return self._stopping(now, elapsed, Mode.WAITING, waits_for)
         if not self.options.is_obeyed:
@@ -327,8 +329,10 @@ class Pilot:
         # Where the clock has jumped since the command, the fields wait for the next one.
         cost = None if time is None else self._mapper.update_fields(perception, time, pose)
         if cost is not None and time is not None:
-            told = {"is_started": self.is_started, "motion": self._motion}
-            self.finish(self.task.update(time, cost, pose[:2], **told))
+            is_started, motion = self.is_started, _motion(last.twist)
+            self.finish(
+                self.task.update(time, cost, pose[:2], is_started=is_started, motion=motion)
+            )
 
     def finish(self, reason: str) -> None:
         """End the drive: the robot stops and stays.
@@ -401,13 +405,6 @@ class Pilot:
         last = self._history.last
         assert last is not None
         return robot_state(self.robot, self._local(last.pose), last.twist, self._expected)
-
-    @property
-    def _motion(self) -> Motion:
-        """How fast the robot moves by its odometry."""
-        assert self._history.last is not None
-        vx, vy, turn_rate = self._history.last.twist.tolist()
-        return Motion(math.hypot(vx, vy), turn_rate)
 
     def _take_scan(self, now: float) -> float | None:
         """Take the points of new scans for the check; return the time of the newest."""
@@ -485,3 +482,9 @@ class Pilot:
         if not self._twist.any():
             self._memory = self._first_memory
         return Command(self._twist, mode, reason, None)
+
+
+def _motion(twist: np.ndarray) -> Motion:
+    """Return how fast a robot moves with a velocity (vx, vy, omega) [m/s, m/s, rad/s]."""
+    vx, vy, turn_rate = twist.tolist()
+    return Motion(math.hypot(vx, vy), turn_rate)

@@ -250,6 +250,7 @@ class ExplorationScenario(Scenario):
         _kinds.instance("chassis", chassis, Chassis, may_be_none=True)
         _kinds.instance("localisation", localisation, Localisation, may_be_none=True)
         _kinds.instance("datum", datum, Datum)
+        _kinds.instance("target", target, str, may_be_none=True)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
         self.placed = HostOnly(datum)
