@@ -54,10 +54,10 @@ def test_clusters_are_those_of_a_union(seed: int, share: float, is_circle: bool)
     label = np.asarray(found.label)
     sets = {frozenset(np.flatnonzero(label == k).tolist()) for k in np.unique(label) if k < BEAMS}
     assert sets == joined(points, is_point, is_circle)
-    assert int(found.count.sum()) == is_point.sum()
+    assert int(found.num_points.sum()) == is_point.sum()
     for k in np.unique(label[label < BEAMS]):
         np.testing.assert_allclose(found.middle[k], points[label == k].mean(axis=0), atol=1e-5)
-        assert found.count[k] == (label == k).sum()
+        assert found.num_points[k] == (label == k).sum()
 
 
 @given(seed=st.integers(0, 2**31), share=st.sampled_from([0.3, 1.0]), is_circle=st.booleans())
@@ -84,5 +84,5 @@ def test_a_cluster_behind_something_is_cut() -> None:
     whole[8] = 3.0
     for each, is_cut in ((ranges, True), (whole, False)):
         found = compiled(True)[0](points, each, is_point, jnp.float32(GAP))
-        assert int(found.count[0]) == 3
+        assert int(found.num_points[0]) == 3
         assert bool(found.is_cut[0]) is is_cut

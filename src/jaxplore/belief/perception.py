@@ -362,11 +362,11 @@ class Perception(BeliefFields):
     def _track(
         self,
         belief: Belief,
-        scans: tuple[Scan, ...],
+        scans: Sequence[Scan],
         pose: Pose,
         elapsed: ArrayLike,
         time: ArrayLike | None,
-    ) -> tuple[Belief, tuple[Scan, ...]]:
+    ) -> tuple[Belief, Sequence[Scan]]:
         """Update the tracks; return the scans without returns of what moves."""
         tracker, tracks = self.tracker, belief.tracks
         if tracker is None or tracks is None:

@@ -229,7 +229,7 @@ class ObstacleTracker(eqx.Module):
             *(ends, scan.ranges, is_moving, jnp.asarray(GAP), self.num_tracks),
             is_circle=sensor.is_full_circle,
         )
-        is_there = (clusters.count >= LEAST_POINTS) & (clusters.width <= WIDEST)
+        is_there = (clusters.num_points >= LEAST_POINTS) & (clusters.width <= WIDEST)
         tracks = self._predict(tracks, elapsed)
         measured = self._centres(tracks, clusters, pose)
         tracks, of_cluster = self._associate(tracks, measured, clusters, is_there)

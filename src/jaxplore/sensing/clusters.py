@@ -18,14 +18,14 @@ class Clusters(NamedTuple):
     Args:
         middle: (K, 2) mean of the points of each [m].
         width: (K,) distance between its first and its last point [m].
-        count: (K,) number of its points; 0 where there is no such cluster.
+        num_points: (K,) number of its points; 0 where there is no such cluster.
         is_cut: (K,) whether something in front of it may hide a part of it.
         label: (B,) cluster of each beam; K for none.
     """
 
     middle: Float[Array, "K 2"]
     width: Float[Array, " K"]
-    count: Int[Array, " K"]
+    num_points: Int[Array, " K"]
     is_cut: Bool[Array, " K"]
     label: Int[Array, " B"]
 

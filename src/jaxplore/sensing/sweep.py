@@ -46,7 +46,7 @@ def undistort_points(points: np.ndarray, times: np.ndarray, twist: np.ndarray) -
     place = np.stack([cos * vx - sin * vy, sin * vx + cos * vy], axis=-1)
     cos, sin = np.cos(turn), np.sin(turn)
     x, y = points[:, 0], points[:, 1]
-    return place + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+    return np.asarray(place + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1))
 
 
 def undistort_scan(
