@@ -1,5 +1,6 @@
 """`jaxplore map-log`: a small log, made here of a ring of corridors."""
 
+import gzip
 import json
 import math
 import os
@@ -44,19 +45,39 @@ def ranges(pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return np.where((away > 0) & (share >= 0) & (share <= 1), away, 81.9).min(axis=1)
 
 
-def written_log(path: Path, number: int = 60) -> Path:
-    """Write scans along one and a half laps."""
+def written_log(path: Path, number: int = 60, *, laps: float = 1.5, has_truth: bool = True) -> Path:
+    """Write scans along some laps, with an odometry that errs in its turns.
+
+    Args:
+        path: path of the log.
+        number: number of scans.
+        laps: number of laps.
+        has_truth: whether the poses are the true ones; those of the odometry otherwise.
+    """
     angles = np.radians(np.arange(-90.0, 91.0))
     rng = np.random.default_rng(0)
     lines = ["# made for a test", "PARAM robot_length 0.5"]
-    for index, turn in enumerate(np.linspace(0.0, 3.0 * math.pi, number)):
+    wheels, before = np.array([9.0, 9.0, 0.3]), None
+    for index, turn in enumerate(np.linspace(0.0, laps * math.tau, number)):
         at = np.array([3.5 + 2.5 * math.cos(turn), 2.5 + 1.6 * math.sin(turn)])
         pose = np.array([*at, math.atan2(1.6 * math.cos(turn), -2.5 * math.sin(turn))])
         found = np.maximum(ranges(pose, angles) + 0.01 * rng.standard_normal(181), 0.0)
-        shown = " ".join(f"{each:.3f}" for each in [*found, *(at + PLACE), pose[2]] * 1)
-        lines.append(f"FLASER 181 {shown} 0 0 0 {index} host {0.5 * index}")
+        if before is not None:
+            wheels = after(wheels, before, pose, rng.normal(0.0, [0.02, 0.02, 0.05]))
+        before = pose
+        given = [*(at + PLACE), pose[2]] if has_truth else wheels
+        shown = " ".join(f"{each:.4f}" for each in [*found, *given, *wheels])
+        lines.append(f"FLASER 181 {shown} {index} host {0.5 * index}")
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def after(wheels: np.ndarray, pose: np.ndarray, other: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Return the pose by an odometry after the motion from one pose to another, with an error."""
+    ahead = (other[0] - pose[0] + 1j * (other[1] - pose[1])) * np.exp(-1j * pose[2])
+    moved = (ahead + error[0] + 1j * error[1]) * np.exp(1j * wheels[2])
+    turn = math.remainder(other[2] - pose[2], math.tau) + error[2]
+    return wheels + np.array([moved.real, moved.imag, turn])
 
 
 @pytest.fixture
@@ -93,6 +114,39 @@ def test_a_log_becomes_a_map(log: Path, capsys: pytest.CaptureFixture[str]) -> N
         assert min(image.size) > 300
 
 
+def test_a_log_is_mapped_by_its_own_odometry(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With true poses beside it, and as a robot records it, packed and with a bad line."""
+    written_log(log, laps=2.5)
+    main(["map-log", str(log), "--resolution", "0.1", "--range", "10", "--out", "own"])
+    metrics = json.loads(Path("own/metrics.json").read_text())
+    assert metrics["estimated"]["ate"] < 0.06
+    assert metrics["estimated"]["ate"] < 0.4 * metrics["dead_reckoned"]["ate"]
+    assert metrics["iou"] > 0.8
+    assert metrics["trust"]["warning"] == ""
+    assert metrics["trust"]["num_places"] > 10
+    assert 0.01 < metrics["odometry"]["turn_noise"] + metrics["odometry"]["turn_per_distance"] < 0.2
+    assert "0 % of them look different" in capsys.readouterr().out
+    raw = written_log(tmp_path / "raw.log", laps=2.5, has_truth=False).read_bytes()
+    Path("raw.log.gz").write_bytes(gzip.compress(raw + b"FLASER 181 1.0 2"))
+    main(["map-log", "raw.log.gz", "--resolution", "0.1", "--range", "10"])
+    again = json.loads(Path("runs/raw-map/metrics.json").read_text())
+    assert again["estimated"] is again["dead_reckoned"] is again["iou"] is None
+    assert again["trust"]["warning"] == ""
+    printed = capsys.readouterr()
+    assert "The log has no other poses than its odometry" in printed.out
+    assert "1 of 61 lines FLASER were left out: 1 by their columns (line 63 has" in printed.err
+    with np.load("own/trajectories.npz") as one, np.load("runs/raw-map/trajectories.npz") as two:
+        assert "true" not in two.files
+        np.testing.assert_allclose(two["start"], [9.0, 9.0])
+        # The same way, from another start.
+        turn = two["estimated"][0, 2] - one["estimated"][0, 2]
+        cos, sin = math.cos(turn), math.sin(turn)
+        ahead = one["estimated"][:, :2] @ np.array([[cos, sin], [-sin, cos]])
+        np.testing.assert_allclose(two["estimated"][:, :2], ahead, atol=0.05)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -121,10 +175,7 @@ def test_bad_options_are_one_line(log: Path, fails, options: list[str], message:
         ("", "has no scan"),
         ("scan 1 2 3\n", "has no scan"),
         ("FLASER 181 1 2 3\n", "has 5 columns"),
-        (
-            "FLASER 1 1.0 0 0 0 0 0 0 2 h 2\nFLASER 1 1.0 0 0 0 0 0 0 1 h 1\n",
-            "has 1 beams",
-        ),
+        ("FLASER 1 1.0 0 0 0 0 0 0 2 h 2\nFLASER 1 1.0 0 0 0 0 0 0 3 h 3\n", "has 1 beams"),
         (None, "missing.log"),
     ],
 )

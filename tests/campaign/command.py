@@ -15,6 +15,7 @@ from types import FrameType
 from typing import Any
 from unittest import mock
 
+import jaxplore.cli._map_log
 import jaxplore.cli._node
 import jaxplore.cli._run
 import jaxplore.cli._view
@@ -61,6 +62,7 @@ def accepting() -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         for owner, name in (
             (jaxplore.cli._run, "simulate"),
+            (jaxplore.cli._map_log, "map_log"),
             (jaxplore.cli._view, "Replay"),
             (jaxplore.cli._view, "LiveView"),
             (jaxplore.cli._node, "connected"),

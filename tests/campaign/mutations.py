@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import yaml
 from hypothesis import strategies as st
 
-from . import kept, volumes
+from . import kept, logs, volumes
 from .contents import VALUES, encoded
 
 PARTS = (
@@ -61,6 +61,8 @@ FORMATS = {
     "plan": Format("comparison/comparison.json", kept.LONGER_COMPARISON),
     "row": Format("comparison/runs/*.parquet", kept.LONGER_COMPARISON),
     "bag": Format("bag/bag.db3", ["replay", "bag"]),
+    **{f"log {name}": Format(name, ["map-log", name]) for name in logs.KINDS},
+    "bag of ROS 1": Format("drive.bag", ["replay", "drive.bag"]),
     "metadata of a bag": Format("bag/metadata.yaml", ["replay", "bag"], is_tree=True),
     "terrain": Format("terrain.npz", ["terrain", "terrain.npz"]),
     **{

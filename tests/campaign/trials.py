@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from . import places, volumes
+from . import logs, places, volumes
 from .cases import IMPOSSIBLE, Case
 from .command import call
 from .mutations import FORMATS, place
@@ -23,6 +23,7 @@ class Trials:
         self.root = root.resolve()
         self.base, self._folder = self.root / places.BASE, self.root / "case"
         places.write_files(self.base)
+        logs.write_logs(self.base)
         places.write_bag(self.base)
         places.write_kept(self.base)
         volumes.write_volumes(self.base)

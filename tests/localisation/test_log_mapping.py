@@ -7,13 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
 from jaxplore.localisation import Localiser, LoopCloser, Odometry, map_log
-from jaxplore.localisation.log_mapping import (
-    _accumulated,
-    drifted_motions,
-    frame_around,
-    log_sensor,
-)
+from jaxplore.localisation.log_drawing import Sampling, frame_around, log_sensor
+from jaxplore.localisation.log_mapping import _followed, _moved
+from jaxplore.localisation.log_odometry import drifted_motions, fit_odometry
+from jaxplore.localisation.log_trust import judge_poses
 from jaxplore.sensing import LaserLog, Lidar, Scan
 
 KEY = jax.random.key(0)
@@ -63,7 +62,7 @@ def test_motions_without_errors_are_those_of_the_log() -> None:
     log = log_of(181, 1.0)
     motions, elapsed = drifted_motions(log, EXACT, KEY)
     np.testing.assert_allclose(elapsed, [0.0] + [0.5] * 39)
-    reached = _accumulated(log.poses[0], np.asarray(motions, float))
+    reached = accumulate_motions(log.poses[0], np.asarray(motions, float))
     np.testing.assert_allclose(reached[:, :2], log.poses[:, :2], atol=1e-4)
     apart = reached[:, 2] - log.poses[:, 2]
     np.testing.assert_allclose(np.sin(apart), 0.0, atol=1e-4)
@@ -107,4 +106,110 @@ def test_a_localiser_without_room_is_refused() -> None:
         map_log(log, key=KEY, localiser=Localiser(capacity=39))
     for name, value in (("resolution", 0.0), ("resolution", 2.0), ("max_range", -1.0)):
         with pytest.raises(ValueError, match=rf"^{name} is .*; accepted: "):
-            map_log(log, key=KEY, closer=LoopCloser(), **{name: value})
+            map_log(log, closer=LoopCloser(), **{name: value})
+    with pytest.raises(ValueError, match=r"^key is None"):
+        map_log(log, drift=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("noise", "spacing", "side"),
+    [(0.01, 0.5, 0.05), (0.03, 1.0, 0.1), (0.01, 6.0, 0.2), (0.09, 0.5, 0.2)],
+)
+def test_cells_are_as_large_as_noise_and_gaps_need(noise: float, spacing: float, side: float):
+    """Flat walls 4 m away, read to within a noise that is found again."""
+    angles = np.radians(np.arange(-60.0, 60.1, spacing))
+    log = log_of(len(angles), spacing)
+    exact = 4.0 / np.cos(angles)
+    ranges = exact + noise * np.random.default_rng(0).standard_normal((40, len(angles)))
+    ranges[:, ::7] = 81.9
+    found = Sampling.of(log._replace(ranges=ranges), 25.0)
+    assert found.side == side
+    assert found.noise == pytest.approx(noise, rel=0.25)
+    gap = 4.0 * math.radians(spacing)
+    assert found.filling == pytest.approx(max(2.0 * gap / side, 1.0), abs=1.0)
+
+
+def test_the_errors_of_an_odometry_are_found_again() -> None:
+    rng = np.random.default_rng(0)
+    true = np.stack([rng.uniform(0.1, 1.0, 4000), np.zeros(4000), rng.normal(0.0, 0.4, 4000)], 1)
+    length, turn = true[:, 0], np.abs(true[:, 2])
+    stds = np.sqrt(
+        np.stack([0.05**2 * length + 0.02**2 * turn] * 2 + [0.01**2 * length + 0.09**2 * turn], 1)
+    )
+    measured = true + stds * rng.standard_normal(true.shape)
+    poses = accumulate_motions(np.zeros(3), np.concatenate([np.zeros((1, 3)), true]))
+    found = fit_odometry(measured, poses)
+    for length, turn in ((1.0, 0.0), (1.0, 0.3), (0.3, 0.3), (0.5, 1.0)):
+        covariance = np.asarray(found.covariance(jnp.array([length, 0.0, turn]), jnp.zeros(())))
+        across = 0.05**2 * length + 0.02**2 * turn
+        yaw = 0.01**2 * length + 0.09**2 * turn
+        assert covariance[0, 0] == pytest.approx(across, rel=0.1)
+        # What turns hide of the straight way is less than a degree in a metre.
+        assert covariance[2, 2] == pytest.approx(yaw, rel=0.1, abs=0.0175**2 * length)
+    exact = fit_odometry(true, poses)
+    assert 0.0 < float(exact.distance_noise) <= 0.02
+
+
+def test_scans_near_the_one_before_follow_the_odometry() -> None:
+    """A robot that stands, and drives in small steps: the other scans move with the used ones."""
+    rng = np.random.default_rng(1)
+    steps = rng.uniform(-0.02, 0.08, (200, 3)) * (rng.random((200, 1)) < 0.7)
+    poses = accumulate_motions(np.array([1.0, 2.0, 0.3]), steps)
+    used = _moved(poses)
+    assert used[0] == 0
+    assert 10 < len(used) < 100
+    between = motions_between(poses[used[:-1]], poses[used[1:]])
+    is_far = (np.hypot(*between[:, :2].T) >= 0.2) | (np.abs(between[:, 2]) >= 0.2)
+    assert is_far.all()
+    found = poses[used] + rng.normal(0.0, 1.0, (len(used), 3))
+    whole = _followed(found, poses, used)
+    np.testing.assert_allclose(whole[used], found)
+    own, given = steps_along(whole), steps_along(poses)
+    is_between = ~np.isin(np.arange(200), used)
+    np.testing.assert_allclose(own[is_between], given[is_between], atol=1e-9)
+
+
+def square_log(number: int = 200) -> LaserLog:
+    """Return a log of two laps in a square room with a box in its middle, seen exactly."""
+    turn = np.linspace(0.0, 4.0 * math.pi, number)
+    poses = np.stack([3.0 * np.cos(turn), 3.0 * np.sin(turn), turn + 0.5 * math.pi], axis=1)
+    log = log_of(181, 1.0, number)
+    ranges = np.empty((number, 181))
+    for index, (x, y, yaw) in enumerate(poses):
+        angles = yaw + log.beam_angles
+        slopes = np.stack([np.cos(angles), np.sin(angles)], 1)
+        # Walls 5 m to each side; the disc of 1 m in the middle.
+        with np.errstate(divide="ignore"):
+            ranges[index] = np.where(slopes > 0, (5 - np.array([x, y])) / slopes, np.inf).min(1)
+            back = np.where(slopes < 0, (-5 - np.array([x, y])) / slopes, np.inf).min(1)
+        ranges[index] = np.minimum(ranges[index], back)
+        along = -(slopes @ [x, y])
+        across = x * x + y * y - along**2
+        is_met = (along > 0) & (across < 1.0)
+        ranges[index][is_met] = (along - np.sqrt(np.maximum(1.0 - across, 0.0)))[is_met]
+    return log._replace(ranges=ranges, poses=poses, odometry=poses)
+
+
+def test_poses_are_judged_without_the_true_ones() -> None:
+    log = square_log()
+    trust = judge_poses(log, log.poses, 25.0)
+    assert trust.warning == ""
+    assert trust.num_places > 80
+    assert (trust.doubtful_places, trust.doubtful_steps) == (0.0, 0.0)
+    # Wherever the whole is.
+    moved = log.poses + np.array([50.0, -20.0, 0.0])
+    assert judge_poses(log, moved, 25.0).warning == ""
+    # The second lap is a metre aside, or turned.
+    for away in ([1.0, 0.0, 0.0], [0.0, 0.0, 0.3]):
+        wrong = log.poses.copy()
+        wrong[100:] += away
+        trust = judge_poses(log, wrong, 25.0)
+        assert "the map is not to be trusted" in trust.warning
+        assert trust.doubtful_places > 0.3
+    # A leap between neighbouring scans, each a metre on.
+    wrong = log.poses.copy()
+    wrong[:, 2] += 0.3 * (np.arange(200) % 7 == 0)
+    assert judge_poses(log, wrong, 25.0).doubtful_steps > 0.2
+    few = log._replace(**{name: getattr(log, name)[:60] for name in ("times", "ranges")})
+    trust = judge_poses(few, log.poses[:60], 25.0)
+    assert trust.warning == "0 places were seen twice, too few to tell whether the map is right"

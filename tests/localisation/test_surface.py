@@ -79,6 +79,50 @@ def test_distances_of_a_straight_wall_are_true(
     np.testing.assert_allclose(np.asarray(slope)[is_known], expected, atol=0.01)
 
 
+SPARSE = Lidar(31, max_range=6.0, field_of_view=math.radians(120.0))
+filled = eqx.filter_jit(lambda ends, number: ends.filled(number, is_full_circle=False))
+
+
+def test_between_beams_of_one_surface_it_is_written_too(scan_of: Callable[..., Scan]) -> None:
+    """Beams 4 degrees apart leave gaps of two cells in a wall, and none across an opening."""
+    walls = np.array([[[2.4, -2.0], [2.4, -0.3]], [[2.4, 0.3], [2.4, 2.0]]])
+    scan = scan_of(walls, ORIGIN, SPARSE)
+    ends = end_points(SPARSE, scan)
+    frame = GridFrame(0.05, (1.8, -1.6, 0.0))
+    t = np.linspace(-1.2, 1.2, 97)
+    points = jnp.asarray(np.stack([np.full(97, 2.39), t], axis=1), jnp.float32)
+    is_wall = np.abs(t) > 0.55
+    known = {}
+    for number in (1, 4):
+        surface = SurfaceMap.empty(frame, (64, 32), MEMORY)
+        surface = with_scan(surface, ORIGIN, filled(ends, number), WAY)
+        found, _, is_known = looked_up(surface, points, WAY)
+        known[number] = np.asarray(is_known)
+        np.testing.assert_allclose(np.asarray(found)[known[number]], 0.01, atol=1e-3)
+    assert known[1][is_wall].mean() < 0.5
+    assert known[4][is_wall].all()
+    assert not known[4][np.abs(t) < 0.2].any()
+
+
+def test_lines_of_noisy_ranges_are_longer(scan_of: Callable[..., Scan]) -> None:
+    """Noise of 4 cm: as usual half of the points of a wall are on a line, with the noise said
+    nearly all are, and their normals are better."""
+    normal = np.array([math.cos(0.2), math.sin(0.2)])
+    shares, errors = [], []
+    for noise in (0.015, 0.04):
+        flat, away = [], []
+        for seed in range(10):
+            scan = scan_of(long_wall(2.0, 0.2), ORIGIN, FAN, 0.04, seed)
+            ends = end_points(FAN, scan, noise)
+            flat.append(np.asarray(ends.is_flat))
+            away.append(1.0 + np.asarray(ends.normals, float) @ normal)
+        shares.append(np.mean(flat))
+        errors.append(np.sqrt(2.0 * np.mean(np.concatenate(away)[np.concatenate(flat)])))
+    assert shares[0] < 0.6
+    assert shares[1] > 0.95
+    assert errors[1] < 0.6 * errors[0]
+
+
 def test_a_wall_is_where_noisy_scans_have_it_on_average(scan_of: Callable[..., Scan]) -> None:
     """Forty scans with noise of a fifth of a cell: the wall is known to less than a tenth of it,
     and does not grow thicker."""

@@ -1,4 +1,4 @@
-"""`jaxplore map-log`: a map from a log of a real lidar, with drift on its motions."""
+"""`jaxplore map-log`: a map from a log of a real lidar."""
 
 import dataclasses
 import json
@@ -15,7 +15,8 @@ from jaxplore._limits import FINEST
 from jaxplore._text import short_repr
 from jaxplore.cli._show import free_name, reserve
 from jaxplore.cli._terminal import say
-from jaxplore.localisation.log_mapping import COARSEST, LogMap, default_drift, map_log
+from jaxplore.localisation.log_mapping import COARSEST, LogMap, map_log
+from jaxplore.localisation.log_odometry import default_drift, wide_odometry
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.maps.files.ros import write_map
 from jaxplore.report.console import progress_bar
@@ -32,18 +33,18 @@ class MapLogOptions(NamedTuple):
     """Options of the command.
 
     Args:
-        resolution: side of a cell [m].
+        resolution: side of a cell [m]; by the scans when absent.
         max_range: range beyond which readings are not used [m].
         field_of_view: angle between the outermost beams [rad]; by their number when absent.
-        drift_seed: seed of the drift.
+        drift_seed: seed of made-up drift; the odometry of the log when absent.
         assignments: NAME=VALUE of errors of the odometry.
         overwrite: whether a former folder is replaced.
     """
 
-    resolution: float
+    resolution: float | None
     max_range: float
     field_of_view: float | None
-    drift_seed: int
+    drift_seed: int | None
     assignments: Sequence[str]
     overwrite: bool
 
@@ -59,13 +60,18 @@ def map_a_log(file: Path, out: Path | None, options: MapLogOptions) -> None:
     Raises:
         ValueError: a log or an option that is not accepted, a folder that exists.
     """
-    odometry = _odometry(options.assignments)
-    seed = _checks.whole_number("--drift-seed", options.drift_seed, at_least=0, at_most=MOST_SEED)
-    resolution = _checks.number(
-        "--resolution", options.resolution, at_least=FINEST, at_most=COARSEST
-    )
+    seed, given = options.drift_seed, options.assignments
+    if seed is not None:
+        seed = _checks.whole_number("--drift-seed", seed, at_least=0, at_most=MOST_SEED)
+    drift = None if seed is None else _odometry(default_drift(), given)
+    # Without any that are given they are fitted.
+    odometry = _odometry(wide_odometry(), given) if given and seed is None else None
+    resolution = options.resolution
+    if resolution is not None:
+        resolution = _checks.number("--resolution", resolution, at_least=FINEST, at_most=COARSEST)
     log = read_laser_log(file, field_of_view=options.field_of_view)
-    folder = free_name(Path("runs") / f"{file.stem}-map") if out is None else out
+    name = Path(file.name.removesuffix(".gz")).stem
+    folder = free_name(Path("runs") / f"{name}-map") if out is None else out
     reserve(folder, overwrite=options.overwrite)
     number = len(log.times)
     with ExitStack() as stack:
@@ -81,18 +87,33 @@ def map_a_log(file: Path, out: Path | None, options: MapLogOptions) -> None:
 
         mapped = map_log(
             log,
-            key=jax.random.key(seed),
             odometry=odometry,
+            drift=drift,
+            key=None if seed is None else jax.random.key(seed),
             resolution=resolution,
             max_range=options.max_range,
             on_progress=show,
         )
     metrics = log_metrics(mapped)
     _write(mapped, metrics, folder, overwrite=options.overwrite)
-    before, after = metrics["dead_reckoned"], metrics["estimated"]
     say(f"{number} scans over {metrics['path_length']:.1f} m, {mapped.num_loops} loops closed")
-    say(f"ATE {after['ate']:.3f} m, by dead reckoning {before['ate']:.3f} m")
-    say(f"walls: IoU {metrics['iou']:.3f}, {100 * metrics['double_walls']:.1f} % drawn twice")
+    if mapped.true is None:
+        say(
+            "The log has no other poses than its odometry, so the map is compared with nothing; "
+            "--drift-seed puts drift on them"
+        )
+    else:
+        before, after = metrics["dead_reckoned"], metrics["estimated"]
+        say(f"ATE {after['ate']:.3f} m, by dead reckoning {before['ate']:.3f} m")
+        say(f"walls: IoU {metrics['iou']:.3f}, {100 * metrics['double_walls']:.1f} % drawn twice")
+    trust = mapped.trust
+    say(
+        f"{trust.num_places} places were seen twice, {100 * trust.doubtful_places:.0f} % of them "
+        "look different"
+    )
+    for line in (log.news, trust.warning and f"Warning: {trust.warning}"):
+        if line:
+            say(line, err=True)
     for name in ("map.yaml", "map.png", MARK):
         say(str(folder / name))
 
@@ -106,7 +127,9 @@ def _write(mapped: LogMap, metrics: dict[str, object], folder: Path, *, overwrit
         write_map(hidden / "map.yaml", probability, grid.resolution, origin.tolist())
         write_figure(log_figure(mapped), hidden, "map", ["png"])
         trajectories = {
-            name: getattr(mapped, name) for name in ("true", "dead_reckoned", "estimated")
+            name: getattr(mapped, name)
+            for name in ("true", "dead_reckoned", "estimated")
+            if getattr(mapped, name) is not None
         }
         np.savez_compressed(
             hidden / "trajectories.npz", times=mapped.times, start=mapped.start, **trajectories
@@ -114,14 +137,13 @@ def _write(mapped: LogMap, metrics: dict[str, object], folder: Path, *, overwrit
         (hidden / MARK).write_text(json.dumps(metrics, indent=2) + "\n")
 
 
-def _odometry(assignments: Sequence[str]) -> Odometry:
-    """Return the odometry with the errors that `--set` names.
+def _odometry(usual: Odometry, assignments: Sequence[str]) -> Odometry:
+    """Return an odometry with the errors that `--set` names in place of its own.
 
     Raises:
         ValueError: no such error, or something else than a standard deviation.
     """
-    drift = default_drift()
-    values = {field.name: getattr(drift, field.name) for field in dataclasses.fields(drift)}
+    values = {field.name: getattr(usual, field.name) for field in dataclasses.fields(usual)}
     for assignment in assignments:
         name, _, text = assignment.partition("=")
         if name not in values:

@@ -18,16 +18,18 @@ def map_log_options(command: Any) -> Any:
             "assignments",
             multiple=True,
             metavar="NAME=VALUE",
-            help="Error of the odometry, for example --set distance_noise=0.04; see the page "
-            "Localisation.",
+            help="Error of the odometry or of the drift, such as --set distance_noise=0.04; see "
+            "the page Localisation.  [default: fitted]",
         ),
         click.option(
-            "--drift-seed", type=int, default=0, show_default=True, help="Seed of the drift."
+            "--drift-seed",
+            type=int,
+            help="Seed of made-up drift on the log's poses, in place of its odometry; for tests.",
         ),
         click.option(
             "--field-of-view",
             type=float,
-            help="Angle between the outermost beams [rad].  [default: by their number]",
+            help="Angle between the outermost beams [rad].  [default: by the log]",
         ),
         click.option(
             "--range",
@@ -40,9 +42,7 @@ def map_log_options(command: Any) -> Any:
         click.option(
             "--resolution",
             type=float,
-            default=0.05,
-            show_default=True,
-            help="Side of a map cell [m].",
+            help="Side of a map cell [m].  [default: 0.05, 0.1 or 0.2, as the scans need]",
         ),
         click.option(
             "--out",
@@ -59,16 +59,18 @@ def map_log_options(command: Any) -> Any:
 @click.command("map-log")
 @map_log_options
 def map_log(file: Path, out: Path | None, **options: Any) -> None:
-    """Map a log of a real lidar, with drift on its motions.
+    """Map a log of a real lidar by its odometry and its scans.
 
-    Reads a log in the format of CARMEN. Its poses are taken for the truth. Their motions get the
-    errors of an odometry, 2 % of the distance and a degree in each metre by default. Scans are
-    matched and loops are closed. Writes a folder with a ROS map, a figure and metrics:
+    Reads a log in the format of CARMEN or of GMapping (gfs), also packed (.gz). How wrong the
+    odometry is, is fitted, or given with --set. Scans are matched and loops are closed. Whether
+    places that were seen twice look the same says if the map is to be trusted. Writes a folder with
+    a ROS map, a figure and metrics, the errors among them if the log has poses that a mapping
+    program has corrected:
 
     \b
-      jaxplore map-log csail.corrected.log
-      jaxplore map-log csail.corrected.log --drift-seed 1 --out runs/csail
-      jaxplore map-log csail.corrected.log --set turn_per_distance=0.035
+      jaxplore map-log intel.log
+      jaxplore map-log aces.corrected.log.gz --out runs/aces --set turn_noise=0.1
+      jaxplore map-log csail.corrected.log --drift-seed 1 --set turn_per_distance=0.035
 
     Needs GTSAM: pip install '.[slam]' in a clone of jaxplore. Ctrl-C ends it and writes nothing.
     """

@@ -21,10 +21,10 @@ from jaxplore.geometry.motion import (
     placed,
     rotation,
 )
+from jaxplore.geometry.trajectory import motions_between
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
 from jaxplore.localisation.pose_graph import Graph, motion_covariances, optimised
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
-from jaxplore.localisation.surface import EndPoints
 from jaxplore.sensing.beams import Beams, Scan
 
 PLACE = 4.0
@@ -190,7 +190,7 @@ class LoopCloser(eqx.Module):
         expected[:2, :2] += float(self.tolerance) ** 2 * np.eye(2)
         # In NumPy: JAX would compile the indexing anew for every pair of scans.
         poses = np.asarray(state.scans.poses, float)
-        error = _motions(poses[[older]], poses[[newer]])[0] - np.asarray(found.motion, float)
+        error = motions_between(poses[[older]], poses[[newer]])[0] - np.asarray(found.motion, float)
         error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
         return bool(error @ np.linalg.solve(expected, error) <= float(self.most_stds) ** 2)
 
@@ -206,7 +206,7 @@ class LoopCloser(eqx.Module):
         number, loops = int(scans.number), int(closures.number)
         if not loops:
             return None
-        poses = np.asarray(scans.poses)[:number]
+        poses = np.asarray(scans.poses, float)[:number]
         pairs = np.asarray(closures.pairs)[:loops]
         wanted = np.asarray(closures.motions)[:loops]
         if _greatest_error(poses, pairs, wanted) <= float(self.tolerance):
@@ -274,15 +274,8 @@ def _check(localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
 
 def _greatest_error(poses: np.ndarray, pairs: np.ndarray, wanted: np.ndarray) -> float:
     """Return the greatest distance between measured and present motions of closed loops [m]."""
-    now = _motions(poses[pairs[:, 0]], poses[pairs[:, 1]])
+    now = motions_between(poses[pairs[:, 0]], poses[pairs[:, 1]])
     return float(np.hypot(*(now - wanted)[:, :2].T).max())
-
-
-def _motions(older: np.ndarray, newer: np.ndarray) -> np.ndarray:
-    """Return the motions (M, 3) from poses to others, in the frames of the first ones."""
-    cos, sin = np.cos(older[:, 2]), np.sin(older[:, 2])
-    dx, dy, turn = (newer - older).T
-    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, turn], axis=1)
 
 
 @eqx.filter_jit
@@ -299,7 +292,7 @@ def _matched(
     place = localiser.surface_of(state, first, end, sensors)
     scans = state.scans
     scan, old_scan = (scans.scan(index, sensors)[0] for index in (newer, older))
-    ends = EndPoints.of(sensors[0], scan)
+    ends = localiser.end_points(scan, sensors[0])
     old = scans.poses[older]
     # The search decides; its prior only keeps Gauss-Newton from leaving where nothing holds it.
     loose = jnp.diag(jnp.array([1.0, 1.0, 0.25]) ** 2)

@@ -15,7 +15,7 @@ from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import ErrorEstimate, OdometryModel, Reckoning
 from jaxplore.localisation.scan_matching import ScanMatcher
 from jaxplore.localisation.stored_scans import Closures, StoredScans
-from jaxplore.localisation.surface import EndPoints, SurfaceMap
+from jaxplore.localisation.surface import USUAL_NOISE, EndPoints, SurfaceMap
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.beams import Beams, Scan
@@ -81,6 +81,9 @@ class Localiser(PoseEstimator):
         turn: turn after which a scan is stored [rad].
         memory: way after which surfaces no longer serve to match scans [m].
         capacity: greatest number of stored scans; static.
+        filling: number of points with which a surface between two beams is written, the first one
+            counted; more than 1 where beams are further apart than cells; static.
+        noise: standard deviation of the ranges of the sensors [m].
 
     Raises:
         ValueError: a part of another class, a number that is not positive.
@@ -93,7 +96,9 @@ class Localiser(PoseEstimator):
     spacing: Scalar
     turn: Scalar
     memory: Scalar
+    noise: Scalar
     capacity: int = eqx.field(static=True)
+    filling: int = eqx.field(static=True)
 
     def __init__(
         self,
@@ -104,6 +109,8 @@ class Localiser(PoseEstimator):
         turn: ArrayLike = 0.25,
         memory: ArrayLike = 15.0,
         capacity: int = 4096,
+        filling: int = 1,
+        noise: ArrayLike = USUAL_NOISE,
     ) -> None:
         _kinds.instance("odometry", odometry, OdometryModel, may_be_none=True)
         _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
@@ -113,6 +120,8 @@ class Localiser(PoseEstimator):
         self.turn = _checks.scalar("turn", turn, above=0.0)
         self.memory = _checks.scalar("memory", memory, above=0.0)
         self.capacity = _checks.positive_int("capacity", capacity)
+        self.noise = _checks.scalar("noise", noise, above=0.0)
+        self.filling = _checks.positive_int("filling", filling)
 
     @property
     def expected_odometry(self) -> OdometryModel:
@@ -190,7 +199,7 @@ class Localiser(PoseEstimator):
         _kinds.instance("state", state, LocaliserState)
         _kinds.instances("scans", scans, Scan)
         _kinds.instances("sensors", sensors, Beams)
-        ends = EndPoints.of(sensors[0], scans[0])
+        ends = self.end_points(scans[0], sensors[0])
         match = self.matcher(state.surface, ends, state.pose, state.covariance, state.way)
         number = jnp.sum(ends.is_point, dtype=jnp.float32)
         is_matched = match.share * number >= LEAST_MATCHED
@@ -203,7 +212,7 @@ class Localiser(PoseEstimator):
             pose=pose,
             covariance=covariance,
             errors=errors,
-            surface=state.surface.with_scan(pose, ends, state.way),
+            surface=state.surface.with_scan(pose, self._filled(ends, sensors[0]), state.way),
             share=match.share,
         )
         return self._stored(state, scans)
@@ -251,11 +260,19 @@ class Localiser(PoseEstimator):
         stored = state.scans
 
         def add(index: Count, surface: SurfaceMap) -> SurfaceMap:
-            ends = EndPoints.of(sensors[0], stored.scan(index, sensors)[0])
+            ends = self.end_points(stored.scan(index, sensors)[0], sensors[0])
+            ends = self._filled(ends, sensors[0])
             return surface.with_scan(stored.poses[index], ends, stored.way[index])
 
         surface: SurfaceMap = jax.lax.fori_loop(first, end, add, empty)
         return surface
+
+    def end_points(self, scan: Scan, sensor: Beams) -> EndPoints:
+        """Return the end points of a scan, with lines as long as its noise needs."""
+        return EndPoints.of(sensor, scan, self.noise)
+
+    def _filled(self, ends: EndPoints, sensor: Beams) -> EndPoints:
+        return ends.filled(self.filling, self.noise, is_full_circle=sensor.is_full_circle)
 
 
 def floor() -> Matrix:

@@ -1,9 +1,8 @@
-"""Map a log of a real lidar: put drift on its motions, localise, and draw the map.
+"""Map a log of a real lidar: localise by its odometry and its scans, and draw the map.
 
 The localisation runs in compiled chunks of scans; loops are closed between them.
 """
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -15,31 +14,45 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from jaxplore import _checks, _kinds
-from jaxplore._limits import FINEST, LONGEST_RANGE, MOST_BEAMS
+from jaxplore._limits import FINEST, LONGEST_RANGE
 from jaxplore._optional import import_optional
 from jaxplore._types import Count, Key
 from jaxplore.geometry.motion import between, compose
+from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
 from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.localiser import Localiser, LocaliserState
+from jaxplore.localisation.log_drawing import (
+    WHOLE,
+    Sampling,
+    all_scans,
+    draw_map,
+    frame_around,
+    log_sensor,
+)
+from jaxplore.localisation.log_odometry import (
+    drifted_motions,
+    fit_odometry,
+    wide_odometry,
+)
+from jaxplore.localisation.log_trust import Trust, judge_poses
 from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.scan_matching import ScanMatcher
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Beams, Scan
-from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.laser_log import LaserLog
-from jaxplore.sensing.lidar import Lidar
 
-MOST_CELLS = 40_000_000
-"""Greatest number of cells of a map: 10 ha have that many of 0.05 m."""
-MARGIN = 5.0
-"""Width of the map around the scans at dead-reckoned poses [m]."""
-WHOLE = 128
-"""The sides of maps are multiples of so many cells, so that few shapes are compiled."""
+MARGIN, SHARE, MOST_MARGIN = 5.0, 0.03, 20.0
+"""Width of the surfaces around the scans at dead-reckoned poses [m], its growth by a metre of way,
+and the most that it grows to [m]: estimated poses may be elsewhere."""
+LEAST_STEP, LEAST_TURN = 0.2, 0.2
+"""Way [m] and turn [rad] after which a scan is used."""
 SCANS_PER_SEARCH = 32
 """Number of scans between two searches for closed loops."""
-CERTAIN = 4.0
-"""Greatest log-odds of a cell of the map."""
+SCANS_TO_FIT = 384
+"""Number of scans by which the errors of an odometry are fitted."""
+TURN_STEPS = 14
+"""Steps of the search in yaw: wheels are often wrong by a sixth of a radian after a turn."""
 COARSEST = 1.0
 """Largest side of a cell [m]."""
 MAX_RANGE = 25.0
@@ -55,22 +68,27 @@ class LogMap(NamedTuple):
     Args:
         start: position (x, y) of the first scan in the log [m].
         times: times (N,) of the scans [s].
-        true: poses (N, 3) of the log, which are taken for the truth.
-        dead_reckoned: poses (N, 3) by the odometry with drift alone.
+        true: poses (N, 3) of the log, if they are more than its odometry; they are taken for the
+            truth. None where the log has no such poses.
+        dead_reckoned: poses (N, 3) by the odometry alone.
         estimated: poses (N, 3) by scans and closed loops.
         map: occupancy grid of the scans at the estimated poses.
-        reference: that of the scans at the true poses.
+        reference: that of the scans at the true poses; None without any.
         loops: (C, 2) indices of the scans of each closed loop, the older one first.
+        odometry: errors of the odometry as fitted or given.
+        trust: how the scans agree at the estimated poses.
     """
 
     start: _Floats
     times: _Floats
-    true: _Floats
+    true: _Floats | None
     dead_reckoned: _Floats
     estimated: _Floats
     map: OccupancyGrid
-    reference: OccupancyGrid
+    reference: OccupancyGrid | None
     loops: NDArray[np.int64]
+    odometry: Odometry
+    trust: Trust
 
     @property
     def num_loops(self) -> int:
@@ -78,136 +96,172 @@ class LogMap(NamedTuple):
         return len(self.loops)
 
 
-def log_sensor(log: LaserLog, max_range: float) -> Lidar:
-    """Return a lidar whose beams are those of a log.
-
-    The beams of a `Lidar` are symmetric to the heading. Where those of the log are not, as 180
-    beams from -90 degrees, it has one more, which never has a reading.
-
-    Args:
-        log: the log.
-        max_range: range beyond which readings are not used [m].
-    """
-    step, number = log.angle_increment, log.ranges.shape[1]
-    if abs(step * number - math.tau) < 1e-6:
-        return Lidar(number, max_range, math.tau)
-    widest = max(abs(log.angle_min), abs(log.angle_min + log.field_of_view))
-    number = min(round(2.0 * widest / step) + 1, MOST_BEAMS) if number > 1 else 1
-    return Lidar(number, max_range, 2.0 * widest if number > 1 else step or math.pi)
-
-
-def drifted_motions(
-    log: LaserLog, odometry: Odometry, key: Key
-) -> tuple[Float[Array, "N 3"], Float[Array, " N"]]:
-    """Return the motions between the scans of a log as an odometry measures them, and their times.
-
-    Args:
-        log: the log, whose poses are taken for the truth.
-        odometry: its errors.
-        key: random key of the errors.
-
-    Returns:
-        Motions (N, 3) to each scan from the one before it, zero for the first one, in the frame of
-        that one [m, m, rad]; times (N,) that they took [s].
-    """
-    true = _steps(log.poses)
-    elapsed = np.diff(log.times, prepend=log.times[:1])
-    of_run, of_noise = jax.random.split(key)
-    keys = jax.random.split(of_noise, len(true))
-    bias = odometry.draw(of_run)
-    taken = jnp.asarray(elapsed, jnp.float32)
-    measured, _ = jax.vmap(odometry.measure, (0, 0, None, 0))(
-        jnp.asarray(true, jnp.float32), taken, bias, keys
-    )
-    return measured.at[0].set(0.0), taken
-
-
-def default_drift() -> Odometry:
-    """Return an odometry that is wrong by 2 % of the distance and by a degree in each metre."""
-    return Odometry(distance_noise=0.02, turn_per_distance=math.radians(1.0))
-
-
 def map_log(
     log: LaserLog,
     *,
-    key: Key,
     odometry: Odometry | None = None,
-    resolution: float = 0.05,
+    drift: Odometry | None = None,
+    key: Key | None = None,
+    resolution: float | None = None,
     max_range: float = MAX_RANGE,
     localiser: Localiser | None = None,
     closer: LoopCloser | None = None,
     on_progress: Callable[[int, int], object] = lambda scans, loops: None,
 ) -> LogMap:
-    """Localise along a log with drift on its motions, and map it.
+    """Localise along a log by its odometry and its scans, and map it.
 
-    The poses of the log are taken for the truth. Their motions get the errors of the odometry, and
-    are all that the localiser is given beside the scans and the first pose. Every 32 scans loops
-    are closed. At the end all scans are drawn at their poses, as estimated then.
+    The localiser is given the motions by the odometry (`LaserLog.measured`), the scans and the
+    first pose. How wrong the odometry is, is fitted: the first 384 scans are matched with errors of
+    any robot, and the differences of the matched motions from the measured ones say the rest. Scans
+    less than 0.2 m and 0.2 rad after the last one that was used are left out; their poses follow by
+    the odometry. Every 32 scans loops are closed. At the end all used scans are drawn at their
+    poses, as estimated then.
+
+    For tests made-up drift is put on the poses of the log in place of its odometry.
 
     Args:
         log: the log.
+        odometry: errors of the odometry; those of the drift, or fitted, when absent.
+        drift: errors that are put on the motions of the log's poses; none when absent.
         key: random key of the drift.
-        odometry: errors of the odometry; those of `default_drift` when absent.
-        resolution: side of a cell [m].
+        resolution: side of a cell of the map [m]; by the noise and the density of readings, 0.05,
+            0.1 or 0.2 m, when absent, as of the surfaces that scans are matched to.
         max_range: range beyond which readings are not used [m].
         localiser: localiser; by default one for this odometry that stores a scan every 0.25 m. It
-            must have room for all scans.
+            must have room for all used scans.
         closer: closes loops; with the default numbers when absent.
         on_progress: called with the number of scans and of closed loops so far; first with 0, after
             all checks.
 
     Raises:
-        ValueError: an argument of another class, a resolution outside [0.001, 1] m, a range that is
-            not positive, a map of more than 40 million cells, a localiser without room for all
-            scans; GTSAM is not installed.
+        ValueError: an argument of another class, drift without a key, a resolution outside [0.001,
+            1] m, a range that is not positive, a map of more than 40 million cells, a localiser
+            without room for all scans; GTSAM is not installed.
     """
     _kinds.instance("log", log, LaserLog)
-    _kinds.key("key", key)
-    _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
+    for name, given in (("odometry", odometry), ("drift", drift)):
+        _kinds.instance(name, given, Odometry, may_be_none=True)
+    if drift is not None or key is not None:
+        _kinds.key("key", key)
     _kinds.instance("localiser", localiser, Localiser, may_be_none=True)
     _kinds.instance("closer", closer, LoopCloser, may_be_none=True)
     _kinds.function("on_progress", on_progress, "a function of two numbers")
-    resolution = _checks.number("resolution", resolution, at_least=FINEST, at_most=COARSEST)
     max_range = _checks.number("max_range", max_range, above=0.0, at_most=LONGEST_RANGE)
+    sampling = Sampling.of(log, max_range)
+    if resolution is None:
+        resolution = sampling.side
+    resolution = _checks.number("resolution", resolution, at_least=FINEST, at_most=COARSEST)
     # It is needed when the first loop is closed, after minutes.
     import_optional("gtsam", "slam")
-    odometry = default_drift() if odometry is None else odometry
+    has_truth = log.is_corrected or drift is not None
+    origin = log.poses[0] if has_truth else log.measured[0]
+    start = origin[:2].copy()
+    # Single precision resolves the neighbourhood of the start, wherever the log has it.
+    first = origin - np.append(start, 0.0)
+    if drift is None:
+        motions = steps_along(log.measured)
+    else:
+        assert key is not None
+        motions = np.asarray(drifted_motions(log, drift, key)[0], np.float64)
+    dead_reckoned = accumulate_motions(first, motions)
+    used = _moved(dead_reckoned)
     sensor = log_sensor(log, max_range)
-    scans = _all_scans(log, sensor)
-    number = len(log.times)
-    if localiser is None:
-        localiser = Localiser(odometry, capacity=-(-number // WHOLE) * WHOLE)
-    if localiser.capacity < number:
+    scans = all_scans(log, sensor, used)
+    path = float(np.hypot(*motions[:, :2].T).sum())
+    margin = min(MARGIN + SHARE * path, MOST_MARGIN)
+    frame, shape = frame_around(sensor, scans, dead_reckoned[used], sampling.side, margin)
+    # What is too large is refused before minutes of work.
+    frame_around(sensor, scans, dead_reckoned[used], resolution, resolution)
+    if localiser is not None and localiser.capacity < len(used):
         raise ValueError(
-            f"localiser has room for {localiser.capacity} scans; accepted: at least {number}"
+            f"localiser has room for {localiser.capacity} scans; accepted: at least {len(used)}"
         )
     closer = LoopCloser() if closer is None else closer
-    start = log.poses[0, :2].copy()
-    # Single precision resolves the neighbourhood of the start, wherever the log has it.
-    true = log.poses - np.append(start, 0.0)
-    motions, elapsed = drifted_motions(log, odometry, key)
-    dead_reckoned = _accumulated(true[0], np.asarray(motions, np.float64))
-    frame, shape = frame_around(sensor, scans, dead_reckoned, resolution, MARGIN)
     on_progress(0, 0)
-    sensors = (sensor,)
-    state = localiser.init(jnp.asarray(true[0], jnp.float32), frame, shape, sensors)
-    track = _Track(jnp.zeros((number, 3)), jnp.zeros(number, jnp.int32))
-    for begin in range(0, number, SCANS_PER_SEARCH):
-        end = min(begin + SCANS_PER_SEARCH, number)
-        first, behind = (jnp.asarray(each, jnp.int32) for each in (begin, end))
-        state, track = _localised(
-            (localiser, sensors), state, track, motions, elapsed, scans, first, behind
+    drive = _Drive(
+        (sensor,),
+        scans,
+        jnp.asarray(steps_along(dead_reckoned[used]), jnp.float32),
+        jnp.asarray(np.diff(log.times[used], prepend=log.times[0]), jnp.float32),
+        frame,
+        shape,
+    )
+    model = drift if odometry is None else odometry
+    model = localiser.odometry if model is None and localiser is not None else model
+    if model is None:
+        wide, number = (
+            _localiser_of(wide_odometry(), sampling, len(used)),
+            min(SCANS_TO_FIT, len(used)),
         )
-        state = closer.examined(localiser, state, sensors)
-        settled = closer.settled(localiser, state, sensors)
+        state, track = drive.localised(wide, *drive.begun(wide, first), 0, number)
+        matched = np.asarray(_poses(track, state.scans.poses), np.float64)[:number]
+        model = fit_odometry(np.asarray(drive.motions, np.float64)[1:number], matched)
+    if localiser is None:
+        localiser = _localiser_of(model, sampling, len(used))
+    state, track = drive.begun(localiser, first)
+    for begin in range(0, len(used), SCANS_PER_SEARCH):
+        end = min(begin + SCANS_PER_SEARCH, len(used))
+        state, track = drive.localised(localiser, state, track, begin, end)
+        state = closer.examined(localiser, state, drive.sensors)
+        settled = closer.settled(localiser, state, drive.sensors)
         state = state if settled is None else settled
-        on_progress(end, int(state.closures.number))
-    estimated = np.asarray(_poses(track, state.scans.poses), np.float64)
-    drawn, reference = (_map_of(sensor, scans, poses, resolution) for poses in (estimated, true))
+        on_progress(int(used[end - 1]) + 1, int(state.closures.number))
+    found = np.asarray(_poses(track, state.scans.poses), np.float64)
+    estimated = _followed(found, dead_reckoned, used)
+    true = log.poses - np.append(start, 0.0) if has_truth else None
     loops = np.asarray(state.closures.pairs)[: int(state.closures.number)].astype(np.int64)
     # Of the stored scans; those of the log at which they were stored.
-    at = np.searchsorted(np.asarray(track.stored), loops)
-    return LogMap(start, log.times, true, dead_reckoned, estimated, drawn, reference, at)
+    at = used[np.searchsorted(np.asarray(track.stored), loops)]
+    return LogMap(
+        start,
+        log.times,
+        true,
+        dead_reckoned,
+        estimated,
+        draw_map(sensor, scans, found, resolution),
+        None if true is None else draw_map(sensor, scans, true[used], resolution),
+        at,
+        model,
+        judge_poses(_part_of(log, used), found, max_range),
+    )
+
+
+def _part_of(log: LaserLog, used: NDArray[np.int64]) -> LaserLog:
+    arrays = {name: getattr(log, name)[used] for name in ("times", "ranges", "poses", "odometry")}
+    return log._replace(**arrays)
+
+
+def _moved(poses: _Floats) -> NDArray[np.int64]:
+    """Return the indices of the poses that are far enough from the one before of them."""
+    kept = [0]
+    for index in range(1, len(poses)):
+        motion = motions_between(poses[kept[-1:]], poses[[index]])[0]
+        if np.hypot(*motion[:2]) >= LEAST_STEP or abs(motion[2]) >= LEAST_TURN:
+            kept.append(index)
+    return np.array(kept)
+
+
+def _followed(found: _Floats, dead_reckoned: _Floats, used: NDArray[np.int64]) -> _Floats:
+    """Return the poses of all scans: those between used ones follow from these by the odometry."""
+    before = np.searchsorted(used, np.arange(len(dead_reckoned)), side="right") - 1
+    motions = motions_between(dead_reckoned[used[before]], dead_reckoned)
+    pairs = np.stack([np.zeros_like(motions), motions], axis=1)
+    return np.stack(
+        [
+            accumulate_motions(pose, pair)[-1]
+            for pose, pair in zip(found[before], pairs, strict=True)
+        ]
+    )
+
+
+def _localiser_of(odometry: Odometry, sampling: Sampling, number: int) -> Localiser:
+    return Localiser(
+        odometry,
+        matcher=ScanMatcher(turn_steps=TURN_STEPS),
+        capacity=-(-number // WHOLE) * WHOLE,
+        filling=sampling.filling,
+        noise=sampling.noise,
+    )
 
 
 class _Track(NamedTuple):
@@ -215,6 +269,33 @@ class _Track(NamedTuple):
 
     since: Float[Array, "N 3"]
     stored: Int[Array, " N"]
+
+
+class _Drive(NamedTuple):
+    """What a localiser is given along a log: arrays of its N scans, and the frame of its map."""
+
+    sensors: tuple[Beams, ...]
+    scans: Scan
+    motions: Float[Array, "N 3"]
+    elapsed: Float[Array, " N"]
+    frame: GridFrame
+    shape: tuple[int, int]
+
+    def begun(self, localiser: Localiser, pose: _Floats) -> tuple[LocaliserState, _Track]:
+        """Return the state before the first scan."""
+        number = len(self.motions)
+        state = localiser.init(jnp.asarray(pose, jnp.float32), self.frame, self.shape, self.sensors)
+        return state, _Track(jnp.zeros((number, 3)), jnp.zeros(number, jnp.int32))
+
+    def localised(
+        self, localiser: Localiser, state: LocaliserState, track: _Track, begin: int, end: int
+    ) -> tuple[LocaliserState, _Track]:
+        """Return the state after the scans from `begin` to before `end`."""
+        first, behind = (jnp.asarray(each, jnp.int32) for each in (begin, end))
+        given = (localiser, self.sensors)
+        return _localised(
+            given, state, track, self.motions, self.elapsed, self.scans, first, behind
+        )
 
 
 @eqx.filter_jit
@@ -248,92 +329,3 @@ def _localised(
 def _poses(track: _Track, stored: Float[Array, "K 3"]) -> Float[Array, "N 3"]:
     """Return the poses of all scans, given those of the stored ones."""
     return jax.vmap(compose)(stored[track.stored], track.since)
-
-
-@eqx.filter_jit
-def _drawn(
-    sensor: Sensor,
-    model: InverseSensorModel,
-    grid: OccupancyGrid,
-    scans: Scan,
-    poses: Float[Array, "N 3"],
-) -> OccupancyGrid:
-    """Return a grid after scans."""
-
-    def add(index: Count, grid: OccupancyGrid) -> OccupancyGrid:
-        scan = Scan(scans.ranges[index], scans.is_return[index])
-        return sensor.update(grid, scan, poses[index], model)
-
-    drawn: OccupancyGrid = jax.lax.fori_loop(0, poses.shape[0], add, grid)
-    return drawn
-
-
-def _map_of(sensor: Sensor, scans: Scan, poses: _Floats, resolution: float) -> OccupancyGrid:
-    """Return the occupancy grid of scans at poses."""
-    frame, shape = frame_around(sensor, scans, poses, resolution, resolution)
-    blank = OccupancyGrid.unknown(shape, frame)
-    # Beams without an echo often met glass or something black: they say nothing of what is free.
-    returned = Scan(jnp.where(scans.is_return, scans.ranges, 0.0), scans.is_return)
-    model = InverseSensorModel.from_odds(clamp=(-CERTAIN, CERTAIN))
-    return _drawn(sensor, model, blank, returned, jnp.asarray(poses, jnp.float32))
-
-
-def frame_around(
-    sensor: Beams, scans: Scan, poses: _Floats, resolution: float, margin: float
-) -> tuple[GridFrame, tuple[int, int]]:
-    """Return the frame and the shape of a map along the axes that holds all points of scans.
-
-    Args:
-        sensor: sensor of the scans.
-        scans: scans of N poses, arrays (N, B).
-        poses: poses (N, 3) [m, m, rad].
-        resolution: side of a cell [m].
-        margin: width of the map around the points [m].
-
-    Raises:
-        ValueError: a map of more than 40 million cells.
-    """
-    low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
-    for pose, ranges, is_return in zip(
-        poses, np.asarray(scans.ranges), np.asarray(scans.is_return), strict=True
-    ):
-        angles = pose[2] + sensor.beam_angles[is_return]
-        ends = pose[:2] + ranges[is_return, None] * np.stack([np.cos(angles), np.sin(angles)], 1)
-        if len(ends):
-            low, high = np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))
-    low = np.floor((low - margin) / resolution) * resolution
-    cells = np.ceil((high + margin - low) / (resolution * WHOLE)) * WHOLE
-    if cells.prod() > MOST_CELLS:
-        raise ValueError(
-            f"resolution is {resolution:g}, which makes a map of {cells.prod():.3g} cells; "
-            f"accepted: a resolution that makes at most {MOST_CELLS}"
-        )
-    return GridFrame(resolution, (*low.tolist(), 0.0)), (int(cells[1]), int(cells[0]))
-
-
-def _all_scans(log: LaserLog, sensor: Beams) -> Scan:
-    """Return all scans of a log, in arrays (N, B)."""
-    scans = [log.scan(index, sensor) for index in range(len(log.times))]
-    return Scan(
-        jnp.asarray(np.stack([np.asarray(each.ranges) for each in scans])),
-        jnp.asarray(np.stack([np.asarray(each.is_return) for each in scans])),
-    )
-
-
-def _steps(poses: _Floats) -> _Floats:
-    """Return the motion to each pose from the one before it, (N, 3), zero for the first one."""
-    before = np.concatenate([poses[:1], poses[:-1]])
-    cos, sin = np.cos(before[:, 2]), np.sin(before[:, 2])
-    dx, dy, turn = (poses - before).T
-    turn = turn - math.tau * np.round(turn / math.tau)
-    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, turn], axis=1)
-
-
-def _accumulated(first: _Floats, motions: _Floats) -> _Floats:
-    """Return the poses (N, 3) after motions, the first of which is not made."""
-    yaw = first[2] + np.concatenate([[0.0], np.cumsum(motions[1:, 2])])
-    cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])
-    dx, dy = motions[1:, 0], motions[1:, 1]
-    steps = np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=1)
-    places = first[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    return np.column_stack([places, yaw])

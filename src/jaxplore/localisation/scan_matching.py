@@ -26,6 +26,8 @@ MAP_ERROR = 0.02
 """Standard deviation of the error of a mapped surface that more scans do not lessen [cells]."""
 SECTORS = 16
 """Number of sectors of a scan in each of which this error is the same."""
+FARTHEST = 3.0
+"""Standard deviations of the guess beyond which the search does not go."""
 CHUNK = 64
 """Number of poses whose scores are computed at once."""
 
@@ -82,10 +84,11 @@ class ScanMatcher(eqx.Module):
 
     Args:
         sigma: distance at which an end point counts half as much or less [m].
-        steps: number of steps of the lattice to either side in each coordinate; static.
-        spacing: greatest spacing of the lattice along x and y [m]; it is the standard deviation of
-            the guess where that is less.
+        steps: number of steps of the lattice to either side along x and y; static.
+        spacing: greatest spacing of the lattice along x and y [m]; it is less where the lattice
+            would go beyond three standard deviations of the guess.
         turn_spacing: greatest spacing of its yaw [rad], likewise.
+        turn_steps: number of steps to either side in yaw; `steps` when absent; static.
         search_points: number of end points in the search; static.
         iterations: number of steps of Gauss-Newton; static.
 
@@ -97,6 +100,7 @@ class ScanMatcher(eqx.Module):
     spacing: Scalar
     turn_spacing: Scalar
     steps: int = eqx.field(static=True)
+    turn_steps: int = eqx.field(static=True)
     search_points: int = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
 
@@ -107,6 +111,7 @@ class ScanMatcher(eqx.Module):
         steps: int = 3,
         spacing: ArrayLike = 0.1,
         turn_spacing: ArrayLike = 0.02,
+        turn_steps: int | None = None,
         search_points: int = 90,
         iterations: int = 6,
     ) -> None:
@@ -114,6 +119,9 @@ class ScanMatcher(eqx.Module):
         self.spacing = _checks.scalar("spacing", spacing, above=0.0)
         self.turn_spacing = _checks.scalar("turn_spacing", turn_spacing, above=0.0)
         self.steps = _checks.positive_int("steps", steps)
+        self.turn_steps = self.steps
+        if turn_steps is not None:
+            self.turn_steps = _checks.positive_int("turn_steps", turn_steps)
         self.search_points = _checks.positive_int("search_points", search_points)
         self.iterations = _checks.positive_int("iterations", iterations)
 
@@ -183,11 +191,15 @@ class ScanMatcher(eqx.Module):
         Args:
             covariance: covariance (3, 3) of the guess.
         """
-        count = jnp.arange(-self.steps, self.steps + 1, dtype=jnp.float32)
-        lattice = jnp.stack(jnp.meshgrid(count, count, count, indexing="ij"), axis=-1)
+        count, turns = (
+            jnp.arange(-steps, steps + 1, dtype=jnp.float32)
+            for steps in (self.steps, self.turn_steps)
+        )
+        lattice = jnp.stack(jnp.meshgrid(count, count, turns, indexing="ij"), axis=-1)
         greatest = jnp.stack([self.spacing, self.spacing, self.turn_spacing])
+        steps = jnp.array([self.steps, self.steps, self.turn_steps], jnp.float32)
         std = jnp.sqrt(jnp.diagonal(covariance))
-        offsets: Array = lattice.reshape(-1, 3) * jnp.minimum(std, greatest)
+        offsets: Array = lattice.reshape(-1, 3) * jnp.minimum(FARTHEST / steps * std, greatest)
         return offsets
 
     def _system(

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplore._types import GridMask, GridValues, Pose, Position, Scalar
+from jaxplore._types import ArrayLike, GridMask, GridValues, Pose, Position, Scalar
 from jaxplore.geometry.motion import placed
 from jaxplore.maps.frame import GridFrame
 from jaxplore.sensing.beams import Beams, Scan
@@ -21,12 +21,16 @@ MOST_WEIGHT = 100.0
 """Greatest weight of a cell, so that the map can change."""
 LEAST_WEIGHT = 0.3
 """Weight of a cell below which its distance is not used."""
+USUAL_NOISE = 0.015
+"""Standard deviation of ranges for which `REACH` and `ROUGH` are [m]."""
 REACH = 0.4
 """Distance of the neighbours that say how a surface lies [m]: more than the noise of ranges."""
 NEIGHBOURS = 12
 """Greatest number of neighbours to either side. Where beams are denser, some are left out."""
 ROUGH = 0.03
 """Standard deviation of the neighbours from their line above which there is a corner [m]."""
+ALIGNED = 0.9
+"""Cosine of the greatest angle between the normals of points of one line."""
 LEAST_NOISE = 0.01
 """Least noise of a point that is taken for the error of its normal [m]."""
 GLANCING = 0.1
@@ -54,23 +58,27 @@ class EndPoints(eqx.Module):
     tilt: Float[Array, " N"]
 
     @classmethod
-    def of(cls, sensor: Beams, scan: Scan) -> "EndPoints":
+    def of(cls, sensor: Beams, scan: Scan, noise: ArrayLike = USUAL_NOISE) -> "EndPoints":
         """Return the end points of a scan.
 
         The line of a point is that of the least squares of distances through the points of its
         neighbours, the beams whose points are about `REACH` away if the surface faces the sensor.
+        Where ranges have more noise than usual, the line is longer by as much, and may be rougher.
 
         Args:
             sensor: sensor of the scan, at the centre of the robot.
             scan: the scan.
+            noise: standard deviation of its ranges [m].
         """
+        wider = jnp.maximum(jnp.asarray(noise, jnp.float32) / USUAL_NOISE, 1.0)
+        reach, rough = REACH * wider, ROUGH * wider
         angles = jnp.asarray(sensor.beam_angles)
         directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1)
         points, is_point = scan.ranges[:, None] * directions, scan.is_return
         shifts = jnp.arange(-NEIGHBOURS, NEIGHBOURS + 1)
         number = points.shape[0]
         # Beams apart by REACH on a surface that faces the sensor; on others points are rarer.
-        wide = jnp.ceil(REACH / (sensor.beam_spacing * jnp.maximum(scan.ranges, 1e-3)))
+        wide = jnp.ceil(reach / (sensor.beam_spacing * jnp.maximum(scan.ranges, 1e-3)))
         most = jnp.clip(wide, 1, number // 2).astype(jnp.int32)
         stride = (most + NEIGHBOURS - 1) // NEIGHBOURS
         apart = shifts * stride[:, None]
@@ -82,7 +90,7 @@ class EndPoints(eqx.Module):
         beside = beside % number
         others = points[beside]
         away = jnp.hypot(*jnp.unstack(others - points[:, None], axis=-1))
-        is_used &= is_point[beside] & is_point[:, None] & (away <= 2.0 * REACH)
+        is_used &= is_point[beside] & is_point[:, None] & (away <= 2.0 * reach)
         count = jnp.maximum(is_used.sum(axis=1, dtype=jnp.float32), 1.0)
         mask = is_used[..., None]
         anchors = jnp.where(mask, others, 0.0).sum(axis=1) / count[:, None]
@@ -93,7 +101,7 @@ class EndPoints(eqx.Module):
         across = jnp.stack([-jnp.sin(along), jnp.cos(along)], axis=1)
         spread = jnp.hypot(xx - yy, 2.0 * xy)
         thin, thick = 0.5 * (xx + yy - spread), 0.5 * (xx + yy + spread)
-        is_flat = (count >= 3.0) & (thin <= ROUGH**2) & (thick >= 4.0 * jnp.abs(thin))
+        is_flat = (count >= 3.0) & (thin <= rough**2) & (thick >= 4.0 * jnp.abs(thin))
         # Of the two directions the one towards the sensor.
         sign = jnp.where((across * directions).sum(axis=1) > 0.0, -1.0, 1.0)
         normals = jnp.where(is_flat[:, None], sign[:, None] * across, -directions)
@@ -108,6 +116,59 @@ class EndPoints(eqx.Module):
         is_first = scan.ranges <= jnp.minimum(before, behind) + GLANCING
         is_point = is_point & ((count >= 3.0) | is_first)
         return cls(points, anchors, normals, is_point, is_flat & is_point, tilt)
+
+    def filled(
+        self, number: int, noise: ArrayLike = USUAL_NOISE, *, is_full_circle: bool
+    ) -> "EndPoints":
+        """Return the points with others between neighbours that are on one line.
+
+        Beams far apart leave gaps of more than a cell between their points. Two neighbours are on
+        one line if both have lines that pass through the other one, to within `ROUGH`, and they are
+        at most twice `REACH` apart; with more noise than usual, as in `of`.
+
+        Args:
+            number: number of points for each one, itself counted; 1 for none between; static.
+            noise: standard deviation of the ranges [m].
+            is_full_circle: whether the first beam and the last are neighbours.
+        """
+        if number == 1:
+            return self
+        wider = jnp.maximum(jnp.asarray(noise, jnp.float32) / USUAL_NOISE, 1.0)
+        following: EndPoints = jax.tree.map(lambda rows: jnp.roll(rows, -1, axis=0), self)
+        apart = following.points - self.points
+        off = jnp.maximum(
+            jnp.abs((apart * self.normals).sum(axis=1)),
+            jnp.abs((apart * following.normals).sum(axis=1)),
+        )
+        facing = (self.normals * following.normals).sum(axis=1)
+        is_one = self.is_flat & following.is_flat & (off <= ROUGH * wider) & (facing > ALIGNED)
+        is_one &= jnp.hypot(*jnp.unstack(apart, axis=1)) <= 2.0 * REACH * wider
+        if not is_full_circle:
+            is_one = is_one.at[-1].set(False)
+        share = jnp.arange(1, number, dtype=jnp.float32)[:, None, None] / number
+
+        def between(rows: Array, after: Array) -> Array:
+            return (rows + share * (after - rows)).reshape(-1, 2)
+
+        feet, feet_after = self._feet(), following._feet()
+        normals = between(self.normals, following.normals)
+        normals = normals / jnp.maximum(jnp.hypot(normals[:, :1], normals[:, 1:]), 1e-6)
+        is_between = jnp.tile(is_one, number - 1)
+        more = EndPoints(
+            between(self.points, following.points),
+            between(feet, feet_after),
+            normals,
+            is_between,
+            is_between,
+            jnp.tile(self.tilt, number - 1),
+        )
+        both: EndPoints = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), self, more)
+        return both
+
+    def _feet(self) -> Float[Array, "N 2"]:
+        """Return the points on the lines nearest to the end points."""
+        away = ((self.points - self.anchors) * self.normals).sum(axis=1, keepdims=True)
+        return self.points - away * self.normals
 
     def every(self, step: int) -> "EndPoints":
         """Return every so many of the points."""

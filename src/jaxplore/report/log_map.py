@@ -1,5 +1,7 @@
 """Metrics and figure of a log that was mapped."""
 
+import dataclasses
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,25 +40,35 @@ def log_metrics(mapped: LogMap) -> dict[str, Any]:
 
     ATE and RPE are those of `absolute_error` and `relative_error`, the latter over 5 m; None for a
     way that is shorter. IoU and double walls are those of `map_agreement` with the map of the true
-    poses, after the alignment of the trajectories.
+    poses, after the alignment of the trajectories. All are None where the log has no true poses.
 
     Args:
         mapped: the mapped log.
     """
-    way = np.hypot(*np.diff(mapped.true[:, :2], axis=0).T).sum()
-    walls = map_agreement(mapped.reference, mapped.map, aligned(mapped.true, mapped.estimated))
+    poses = mapped.estimated if mapped.true is None else mapped.true
+    walls = None
+    if mapped.true is not None and mapped.reference is not None:
+        alignment = aligned(mapped.true, mapped.estimated)
+        walls = map_agreement(mapped.reference, mapped.map, alignment)
     return {
         "num_scans": len(mapped.times),
-        "path_length": float(way),
+        "path_length": float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()),
         "dead_reckoned": _errors(mapped, mapped.dead_reckoned),
         "estimated": _errors(mapped, mapped.estimated),
         "num_loops": mapped.num_loops,
-        "iou": walls.iou,
-        "double_walls": walls.double_walls,
+        "iou": None if walls is None else walls.iou,
+        "double_walls": None if walls is None else walls.double_walls,
+        "odometry": {
+            field.name: float(getattr(mapped.odometry, field.name))
+            for field in dataclasses.fields(mapped.odometry)
+        },
+        "trust": mapped.trust._asdict(),
     }
 
 
-def _errors(mapped: LogMap, poses: np.ndarray) -> dict[str, float | None]:
+def _errors(mapped: LogMap, poses: np.ndarray) -> dict[str, float | None] | None:
+    if mapped.true is None:
+        return None
     whole: AbsoluteError = absolute_error(mapped.true, poses)
     piece = relative_error(mapped.true, poses, PIECE)
     return {
@@ -100,6 +112,8 @@ def log_figure(mapped: LogMap) -> "Figure":
     # Beyond the map nothing is known.
     axes.set_facecolor(shade(UNKNOWN))
     for name, label, colour, width in TRACKS:
+        if getattr(mapped, name) is None:
+            continue
         x, y = (getattr(mapped, name)[:, :2] + mapped.start).T
         axes.plot(x, y, color=colour, linewidth=width, label=label)
     axes.plot(
@@ -117,14 +131,16 @@ def log_figure(mapped: LogMap) -> "Figure":
     axes.set_ylabel("y [m]")
     add_scale_bar(axes)
     figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    before, after = (
-        absolute_error(mapped.true, poses).rms for poses in (mapped.dead_reckoned, mapped.estimated)
-    )
-    figure.suptitle(
-        f"{len(mapped.times)} scans, {mapped.num_loops} loops closed, ATE {after:.2f} m, by dead "
-        f"reckoning {before:.2f} m",
-        fontsize=11,
-    )
+    title = f"{len(mapped.times)} scans, {mapped.num_loops} loops closed"
+    if mapped.true is not None:
+        before, after = (
+            absolute_error(mapped.true, poses).rms
+            for poses in (mapped.dead_reckoned, mapped.estimated)
+        )
+        title += f", ATE {after:.2f} m, by dead reckoning {before:.2f} m"
+    if mapped.trust.warning:
+        title += "\n" + textwrap.fill(mapped.trust.warning, 80)
+    figure.suptitle(title, fontsize=11)
     return figure
 
 
@@ -153,7 +169,8 @@ def _extent(mapped: LogMap, belief: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Return the corners of what is drawn: all known cells and all trajectories [m]."""
     origin = np.asarray(mapped.map.frame.origin, np.float64)[:2]
     known = np.argwhere(belief != 0.5)[:, ::-1]
-    points = [getattr(mapped, name)[:, :2] for name, *_ in TRACKS]
+    tracks = (getattr(mapped, name) for name, *_ in TRACKS)
+    points = [track[:, :2] for track in tracks if track is not None]
     if len(known):
         ends = np.stack([known.min(axis=0), known.max(axis=0) + 1])
         points.append(origin + ends * mapped.map.resolution)
