@@ -113,7 +113,7 @@ class GoalCheck(NamedTuple):
     def is_at(self, position: Any) -> Any:
         """Check whether a position (x, y) is within the radius [m]."""
         offset = position[:2] - self.position
-        return (offset * offset).sum() <= self.radius * self.radius
+        return (offset * offset).sum() < self.radius * self.radius
 
     def is_reached(self, pose: Any, motion: Motion) -> Any:
         """Check whether a robot has reached the goal.
