@@ -62,8 +62,8 @@ class Kind(NamedTuple):
 
     robot: jx.Dynamics
     controller: Controller
-    period: float = PERIOD
-    height: float = 0.0
+    period: Any = PERIOD
+    height: Any = 0.0
 
 
 def kinds() -> dict[str, Kind]:
@@ -119,7 +119,8 @@ def places(cells: np.ndarray, radius: float, number: int, seed: int) -> np.ndarr
     grid = jx.OccupancyGrid(cells, RESOLUTION)
     spot = np.array([*open_spot(grid, radius + ROOM), 0.0])
     free = np.argwhere(reachable_cells(grid, spot, radius + ROOM))
-    rng, rows = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    rows: list[list[float]] = []
     while len(rows) < number:
         start, goal = (RESOLUTION * (free[rng.integers(len(free))][::-1] + 0.5) for _ in range(2))
         if NEAREST <= np.hypot(*(goal - start)) <= FARTHEST:
@@ -143,7 +144,8 @@ def drive(
     check = GoalCheck.of(goal)
 
     def goes_on(carry: Any) -> Array:
-        return ~carry[2].is_reached & (carry[2].steps * period < SECONDS)
+        so_far: Drive = carry[2]
+        return ~so_far.is_reached & (so_far.steps * period < SECONDS)
 
     def step(carry: Any) -> Any:
         memory, state, so_far = carry
@@ -172,12 +174,14 @@ def drive(
     nothing = Drive(
         jnp.array(False), jnp.zeros((), int), jnp.zeros(()), jnp.full((), jnp.inf), -jnp.ones(())
     )
-    return jax.lax.while_loop(goes_on, step, (controller.init(), state, nothing))[2]
+    driven: Drive = jax.lax.while_loop(goes_on, step, (controller.init(), state, nothing))[2]
+    return driven
 
 
 def measure(names: list[str], number: int, num_scenes: int) -> dict[str, list[dict[str, Any]]]:
     """Return the drives of each robot, `number` on each map."""
-    lidar, results = jx.Lidar(), {}
+    lidar = jx.Lidar()
+    results: dict[str, list[dict[str, Any]]] = {}
     maps = dict(list(scenes().items())[:num_scenes])
     for name in names:
         kind = kinds()[name]

@@ -96,7 +96,7 @@ def clear_mot(
         left = [i for i in range(len(here)) if i not in matched]
         free = [j for j in range(len(there)) if j not in matched.values()]
         cost = np.where(away <= within, away, 1e6)[np.ix_(left, free)]
-        for i, j in zip(*linear_sum_assignment(cost), strict=True):
+        for i, j in np.stack(linear_sum_assignment(cost), axis=-1).tolist():
             if cost[i, j] <= within:
                 matched[left[i]] = free[j]
         for i, j in matched.items():
@@ -202,7 +202,7 @@ def measure(speeds: Sequence[float], seeds: int, num_scans: int = 600) -> list[d
             for frame, person, row in mot.pairs:
                 error = seen.tracks[frame, row, 2:] - seen.velocities[frame, person]
                 errors.append(float(np.hypot(*error)))
-        total = [sum(each[i] for each in found) for i in range(4)]
+        total = np.sum([each[:4] for each in found], axis=0).tolist()
         matched = sum(len(each.pairs) for each in found)
         rows.append(
             {

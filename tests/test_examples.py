@@ -7,6 +7,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -21,7 +23,7 @@ def load(name: str) -> ModuleType:
 
 def test_waypoints_are_reached_one_after_the_other(capsys: pytest.CaptureFixture[str]) -> None:
     example = load("waypoints")
-    states, legs = map(np.asarray, example.main(num_steps=170, num_samples=64))
+    states, legs = map(np.asarray, example.main(num_steps=200, num_samples=64))
     points = np.asarray(example.WAYPOINTS)
     nearest = np.linalg.norm(states[:, None, :2] - points, axis=-1).min(axis=0)
     assert (nearest < example.REACHED).all()

@@ -130,7 +130,7 @@ def completed(*arguments: str) -> list[str]:
         (["run", "--robot", "u"], ["unicycle"]),
         (["run", "--architecture", "two"], ["two-layer"]),
         (["compare", "--architectures", "goal,par"], ["goal,parallel"]),
-        (["settings", "lidar.r"], ["lidar.range_noise", "lidar.rings"]),
+        (["settings", "lidar.r"], ["lidar.range_noise", "lidar.roll_degrees", "lidar.rings"]),
         (
             ["settings", "w"],
             [

@@ -135,7 +135,7 @@ def test_each_robot_is_led_to_the_cluster_that_is_assigned_to_it() -> None:
     scenario = types.SimpleNamespace(
         perception=types.SimpleNamespace(field_sensor=types.SimpleNamespace(stride=stride))
     )
-    state = ExplorationState(*[None] * 9)._replace(belief=Belief(grid=grid))
+    state = ExplorationState(*[None] * 11)._replace(belief=Belief(grid=grid))
     for places in ((0, 1, 2), (1, 0), (0,), (1,)):
         heard = Heard(
             jnp.zeros((3, 3, *grid.shape)),

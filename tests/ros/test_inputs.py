@@ -61,6 +61,7 @@ def scan(frame, ranges=(1.0, 2.0, 3.0)):
         header=header(frame),
         angle_min=-0.1,
         angle_increment=0.1,
+        time_increment=0.0,
         range_min=0.0,
         range_max=10.0,
         ranges=ranges,

@@ -13,6 +13,8 @@ from jaxplore.control.base import Controller, Info
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.plant import ContinuousPlant, Plant, as_plant
 
+pytestmark = pytest.mark.long
+
 ROBOT = jx.DifferentialDrive(max_speed=1.0, drag=0.1)
 KEY = jax.random.key(3)
 RUNS = jax.random.split(KEY, 50)

@@ -36,6 +36,7 @@ from jaxplore.localisation.log_odometry import (
 )
 from jaxplore.localisation.log_trust import Trust, judge_poses
 from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.odometry_model import OdometryModel
 from jaxplore.localisation.scan_matching import ScanMatcher
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -87,7 +88,7 @@ class LogMap(NamedTuple):
     map: OccupancyGrid
     reference: OccupancyGrid | None
     loops: NDArray[np.int64]
-    odometry: Odometry
+    odometry: OdometryModel
     trust: Trust
 
     @property
@@ -186,7 +187,7 @@ def map_log(
         frame,
         shape,
     )
-    model = drift if odometry is None else odometry
+    model: OdometryModel | None = drift if odometry is None else odometry
     model = localiser.odometry if model is None and localiser is not None else model
     if model is None:
         wide, number = (
@@ -254,7 +255,7 @@ def _followed(found: _Floats, dead_reckoned: _Floats, used: NDArray[np.int64]) -
     )
 
 
-def _localiser_of(odometry: Odometry, sampling: Sampling, number: int) -> Localiser:
+def _localiser_of(odometry: OdometryModel, sampling: Sampling, number: int) -> Localiser:
     return Localiser(
         odometry,
         matcher=ScanMatcher(turn_steps=TURN_STEPS),

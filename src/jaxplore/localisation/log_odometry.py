@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from jaxplore._types import Key
 from jaxplore.geometry.trajectory import motions_between, steps_along
@@ -87,6 +86,8 @@ def fit_odometry(measured: _Floats, matched: _Floats) -> Odometry:
 
 def _fitted(sizes: _Floats, squares: _Floats) -> tuple[float, float]:
     """Return the standard deviations after a metre and after a radian."""
+    from scipy.optimize import nnls  # slow to import, and few need it
+
     weights = np.ones(len(squares))
     found = np.zeros(2)
     for _ in range(_PASSES):

@@ -77,14 +77,15 @@ def replay_topics(
         for name, each in topics.items()
         if each.kind in POSES and each.number and not name.endswith(STATIC)
     }
-    kind = next((each for each in POSES if each in {of.kind for of in moving.values()}), None)
-    if kind is None:
+    held = {each.kind for each in moving.values()}
+    best = next((each for each in POSES if each in held), None)
+    if best is None:
         names = ", ".join(map(repr, sorted(topics)))
         raise ValueError(
             f"bag has no pose: its topics are {names}; accepted: a bag with one of kind "
             f"{', '.join(POSES)}"
         )
-    return scan_topic, choose_topic(moving, kind)
+    return scan_topic, choose_topic(moving, best)
 
 
 def replay(
@@ -161,7 +162,7 @@ class _Chain:
         """Find the frames of the robot and of the world among the transforms of a bag."""
         topics = [name for name, each in bag_topics(path).items() if each.kind == "TFMessage"]
         parents: dict[str, str] = {}
-        static = []
+        static: list[Any] = []
         for each in read_bag(path, topics):
             for one in each.message.transforms:
                 name, parent = (

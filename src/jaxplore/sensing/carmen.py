@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from jaxplore._limits import LONGEST, LONGEST_RANGE, MOST_BEAMS
 from jaxplore._text import short_repr
 
-KINDS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "LASER_READING", "RLASER", "ROBOTLASER2")
-KINDS = (*KINDS, *(f"RAWLASER{number}" for number in range(2, 6)))
+KINDS = (
+    *("FLASER", "ROBOTLASER1", "RAWLASER1", "LASER_READING", "RLASER", "ROBOTLASER2"),
+    *(f"RAWLASER{number}" for number in range(2, 6)),
+)
 """Kinds of lines with a scan, the preferred one first."""
 NO_ECHO = 80.0
 """Readings from here on mean that a beam of a SICK LMS got no echo [m]."""
@@ -258,7 +260,7 @@ def _ranges(words: Sequence[bytes], greatest: float) -> Floats:
         greatest: greatest reading of the lidar [m]; it met nothing from there on.
     """
     values = _values(words)
-    for index in np.flatnonzero(~np.isfinite(values)):
+    for index in np.flatnonzero(~np.isfinite(values)).tolist():
         # What was converted from ROS has infinite readings where a beam met nothing.
         if words[index].lower() not in (b"inf", b"+inf"):
             raise _not_finite(words[index])

@@ -86,9 +86,10 @@ def select_in_order(readings: list[Reading], lines: LogLines, kind: str) -> list
             continue
         latest = each.time
         taken, step = 0.0, 0.0
-        if found:
-            taken = each.time - found[-1].time
-            step = math.dist(each.pose[:2], found[-1].pose[:2])
+        before = found[-1] if found else each
+        if each.pose is not None and before.pose is not None:
+            taken = each.time - before.time
+            step = math.dist(each.pose[:2], before.pose[:2])
         if step > LONGEST_STEP + FASTEST * taken:
             text = f"has a position {step:.1f} m and {taken:.3g} s after that of the scan before"
             accepted = f"accepted: at most {LONGEST_STEP:g} m and {FASTEST:g} m/s"
