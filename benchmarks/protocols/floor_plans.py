@@ -77,10 +77,12 @@ from benchmarks.tables import table
 from jaxplore import Lidar, OccupancyGrid, Perception
 from jaxplore._files import replace_files
 from jaxplore._text import one_line
+from jaxplore._trees import with_field
 from jaxplore.belief.zones import is_unknown
 from jaxplore.control.base import Controller
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.simulation.exploration.checks import checked_coverage
 from jaxplore.simulation.exploration.reachability import reachable_cells
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import Run, simulate
@@ -274,7 +276,8 @@ def make_scenario(protocol: Protocol, plan: Plan) -> ExplorationScenario:
     """
     lidar = Lidar(protocol.num_beams, protocol.max_range, range_noise=0.0)
     rate = SPEED / (protocol.cells_per_step * CELL)
-    return ExplorationScenario(
+    target = target_coverage(protocol, plan)
+    scenario = ExplorationScenario(
         _world(plan),
         ideal.Point(SPEED, RADIUS),
         lidar,
@@ -283,8 +286,11 @@ def make_scenario(protocol: Protocol, plan: Plan) -> ExplorationScenario:
         control_rate=rate,
         sensing_rate=rate,
         field_rate=rate,
-        target_coverage=target_coverage(protocol, plan),
+        target_coverage=1.0 if target is None else target,
     )
+    # As data: a share that none reaches stands for no end, in the same program.
+    share = checked_coverage(target)
+    return with_field(scenario, "target_coverage", share)
 
 
 def explore(protocol: Protocol, plan: Plan, explorer: str) -> tuple[Run, dict[str, Any]]:

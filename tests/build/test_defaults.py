@@ -84,7 +84,7 @@ MISSIONS = {
     "search-rescue": jx.Mission(
         has_terrain=True, chassis=jx.geometry.Chassis(0.5, 0.4, 0.4, offset=0.25)
     ),
-    "perimeter": jx.Mission(has_moving_obstacles=True),
+    "perimeter": jx.Mission(has_moving_obstacles=True, occlusion_cost=jx.costs.OcclusionCost(1.6)),
 }
 VIEWS = {"warehouse": 1.5 * math.pi}
 """Of the lidars, where a scenario says so."""
@@ -97,7 +97,12 @@ def by_hand(place: str, architecture: str, scenario: jx.ExplorationScenario) -> 
     mission = MISSIONS.get(place, jx.Mission())
     has_moving, chassis = mission.has_moving_obstacles, mission.chassis
     if architecture == "explorer":
-        return jx.explorer(robot, has_moving_obstacles=has_moving, chassis=chassis)
+        return jx.explorer(
+            robot,
+            has_moving_obstacles=has_moving,
+            occlusion_cost=mission.occlusion_cost,
+            chassis=chassis,
+        )
     if architecture == "portfolio":
         numbers = own.get("portfolio", {})
         return jx.ground_portfolio(ROBOTS[place](jx.Euler()), MISSIONS.get(place), **numbers)
@@ -108,6 +113,7 @@ def by_hand(place: str, architecture: str, scenario: jx.ExplorationScenario) -> 
             scenario.perception,
             scenario.world,
             has_moving_obstacles=has_moving,
+            occlusion_cost=mission.occlusion_cost,
             chassis=chassis,
         )
     flight, fields = jx.Flight(), jx.FieldNumbers()
@@ -254,7 +260,10 @@ def test_every_setting_is_described_once(kind: type[Section]) -> None:
 
 NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     # Of the robot and the world.
-    jx.explorer: {"robot", "has_moving_obstacles", "moving_obstacle_cost", "chassis", "uncertain"},
+    jx.explorer: {
+        *("robot", "has_moving_obstacles", "moving_obstacle_cost", "occlusion_cost", "chassis"),
+        "uncertain",
+    },
     jx.ground_portfolio: {"robot", "mission", "members", "fusion"},
     # Of the robot, the rates and the run.
     jx.Flight: {"control_period", "max_speed"},
@@ -274,7 +283,7 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     jx.planning.avoidance_cost: set(),
     jx.race_track: set(),
     jx.office: set(),
-    jx.Lidar: set(),
+    jx.Lidar: {"errors"},
     jx.Camera: set(),
     jx.belief.IdlenessMap: set(),
     jx.belief.Recognition: {"detector"},
@@ -284,7 +293,7 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     jx.Perception: {
         *("sensors", "resolution", "robot_radius", "sensor_model", "goal", "max_unknown"),
         *("ground", "watch", "anomalies", "is_goal_apart", "unknown_factor", "car", "recognition"),
-        "is_localising",
+        *("is_localising", "goal_heading", "tracker"),
     },
     jx.planning.Contextual: {"names", "goal", "rules"},
     jx.planning.WeightedVote: set(),

@@ -107,6 +107,7 @@ def test_the_same_command_goes_on(
     assert {row["time_limit"] for row in timeless(store)} == {0.5}
 
 
+@pytest.mark.filterwarnings("ignore:.*read as unknown would be:UserWarning")
 def test_runs_that_fail_are_told(
     arguments: list[str], write_map: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -134,8 +134,10 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
 )
 def test_gains_are_the_derivative_of_the_step(model, cost, start, std, changes) -> None:
     changes = {"weighting": Softmax(1.0, 0.5), **changes}
+    # The braking distance of the differential drive's cost has a kink, so its steps are small.
+    step = 1e-3 if model is FLIGHT else 5e-4 if model is CAR else 5e-3
     gains, differences = gains_and_differences(
-        model, cost, start, std, jax.random.key(1), 1e-3 if model is FLIGHT else 5e-3, **changes
+        model, cost, start, std, jax.random.key(1), step, **changes
     )
     largest = np.abs(differences).max()
     assert largest > 0.05

@@ -555,7 +555,8 @@ def test_what_goal_mppi_pays() -> None:
         ObstacleCost=20.0 * 0.2**2,
         SpeedLimitCost=10.0 * (1.5 / 0.1) ** 2,
         QuadraticControlCost=0.01 * (0.25 + 4.0),
-        GoalCost=10.0 * 5.0,
+        # It stops with half of 1 m/s^2 in 6.25 m, so it would overrun the goal.
+        GoalCost=10.0 * (5.0 + 2.0 * (2.5**2 - 5.0)),
     )
     found = paid(mppi, slow, jnp.zeros(2))
     assert [found[name] for name in SAFE] == [0.0, 0.0, 0.0]
@@ -571,7 +572,7 @@ def test_what_goal_mppi_pays() -> None:
         ObstacleCost=5.0 * 0.4**2,
         SpeedLimitCost=3.0 * (0.5 / 0.1) ** 2,
         QuadraticControlCost=0.2 * (0.25 + 4.0),
-        GoalCost=10.0 * 2.0,
+        GoalCost=10.0 * (2.0 + 2.0 * (2.5**2 - 2.0)),
     )
 
 

@@ -105,11 +105,9 @@ class ObstacleTracker(eqx.Module):
     2. **Association.** Each cluster is the measurement of at most one track. Pairs are those of the
        least sum of squared Mahalanobis distances (global nearest neighbour), each within a gate.
     3. **Kalman filter** with constant velocity, of which the acceleration is white noise, with the
-       variance `agility` per Hz along either axis:
-
-           F = [[1, dt], [0, 1]],  Q = agility [[dt^3/3, dt^2/2], [dt^2/2, dt]],  H = [1, 0]
-
-       The centre of a disc of radius R is pi R / 4 behind the mean of the points on its near side.
+       variance `agility` per Hz along either axis: `F = [[1, dt], [0, 1]]`,
+       `Q = agility [[dt^3/3, dt^2/2], [dt^2/2, dt]]`, `H = [1, 0]`. The centre of a disc of radius
+       R is pi R / 4 behind the mean of the points on its near side.
     4. **Births and deaths.** A cluster without a track begins one, which is believed after three
        measurements. A track that is not measured where the beams pass through its place ends after
        `patience`, one that is hidden after 3 s.

@@ -116,10 +116,11 @@ class Fleet(Scenario):
     ) -> None:
         _kinds.instance("radio", radio, Radio, may_be_none=True)
         members = checked_members(robots, starts)
+        self.explorations = Alike(members)
         if len(members) > 1:
             # The others tell where they are, so there is nothing to be found in scans.
-            members = tuple(each.with_told_obstacles() for each in members)
-        self.explorations = Alike(members)
+            told = self.explorations.map(ExplorationScenario.with_told_obstacles)
+            self.explorations = told
         first = self.members[0]
         poses = checked_starts(self.members, starts)
         self.robot = Formation([each.robot for each in self.members])
