@@ -16,6 +16,8 @@ from jaxplore._text import error_reason, short_repr
 
 MALFORMED_NPZ = (*MALFORMED, OSError, EOFError, zipfile.BadZipFile, zlib.error, struct.error)
 """Exceptions that a malformed file raises."""
+MOST_LETTERS = 40
+"""Greatest number of letters of the type of an array that a message shows."""
 MOST_MEMBERS = 10_000
 """Greatest number of members of a file."""
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -78,7 +80,9 @@ def read_array(
         # The header is read as Python's text, which also raises what a tokenizer does.
         raise ValueError(f"{name} has a damaged header: {error_reason(error)}") from None
     if dtype.hasobject or dtype.names or not dtype.itemsize or any(size < 0 for size in shape):
-        raise ValueError(f"{name} has shape {short_repr(shape)} and type {short_repr(dtype)}")
+        raise ValueError(
+            f"{name} has shape {short_repr(shape)} and type {str(dtype)[:MOST_LETTERS]}"
+        )
     check(name, shape, dtype)
     size = math.prod(shape) * dtype.itemsize
     # One byte more than expected shows whether the file is longer than its header says.

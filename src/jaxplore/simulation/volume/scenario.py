@@ -345,7 +345,8 @@ def _start_voxel(
     side, origin = world.resolution, np.asarray(world.origin, np.float64)
     grid = ((start[:3] - origin) / side)[::-1]
     voxel = np.floor(grid).astype(int)
-    shown = ", ".join(f"{each:.10g}" for each in datum.shown(start[:3]))
+    # To the millimetre: single precision has no more.
+    shown = ", ".join(f"{round(float(each), 3):.10g}" for each in datum.shown(start[:3]))
     where = f"start is ({shown})"
     if not ((voxel >= 0) & (voxel < solid.shape)).all():
         ends = origin + np.array(solid.shape[::-1]) * side
