@@ -503,7 +503,7 @@ def test_other_missions_do_not_recompile() -> None:
     before = run_chunk._cached._cache_size()
     advance(controller, given, state, 2)
     other = functools.partial(drive, steps=3, command=(0.5, 0.1), seed=5)
-    other(scenario(hall(True), elevation=ramp(), mover=CROSSING, target_coverage=None))
+    other(scenario(hall(True), elevation=ramp(), mover=CROSSING, target_coverage=0.5))
     assert run_chunk._cached._cache_size() == before
 
 
