@@ -145,7 +145,8 @@ def drive(
 
     def goes_on(carry: Any) -> Array:
         so_far: Drive = carry[2]
-        return ~so_far.is_reached & (so_far.steps * period < SECONDS)
+        is_early: Array = so_far.steps * period < SECONDS
+        return ~so_far.is_reached & is_early
 
     def step(carry: Any) -> Any:
         memory, state, so_far = carry
