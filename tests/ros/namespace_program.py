@@ -42,7 +42,7 @@ class Pilot:
     def add_odometry(self, _, pose, twist, received) -> None:
         self.positions.add(float(pose[0]))
 
-    def add_scan(self, _, scan, points, received) -> None:
+    def add_scan(self, _, scan, points, received, sweep=None) -> None:
         self.ranges |= {float(each) for each in np.asarray(scan.ranges)}
 
 
