@@ -10,7 +10,7 @@ import pytest
 from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
 from jaxplore.localisation import Localiser, LoopCloser, Odometry, map_log
 from jaxplore.localisation.log_drawing import Sampling, frame_around, log_sensor
-from jaxplore.localisation.log_mapping import _followed, _moved
+from jaxplore.localisation.log_mapping import _follow_odometry, _thin_scans
 from jaxplore.localisation.log_odometry import drifted_motions, fit_odometry
 from jaxplore.localisation.log_trust import judge_poses
 from jaxplore.sensing import LaserLog, Lidar, Scan
@@ -155,14 +155,14 @@ def test_scans_near_the_one_before_follow_the_odometry() -> None:
     rng = np.random.default_rng(1)
     steps = rng.uniform(-0.02, 0.08, (200, 3)) * (rng.random((200, 1)) < 0.7)
     poses = accumulate_motions(np.array([1.0, 2.0, 0.3]), steps)
-    used = _moved(poses)
+    used = _thin_scans(poses)
     assert used[0] == 0
     assert 10 < len(used) < 100
     between = motions_between(poses[used[:-1]], poses[used[1:]])
     is_far = (np.hypot(*between[:, :2].T) >= 0.2) | (np.abs(between[:, 2]) >= 0.2)
     assert is_far.all()
     found = poses[used] + rng.normal(0.0, 1.0, (len(used), 3))
-    whole = _followed(found, poses, used)
+    whole = _follow_odometry(found, poses, used)
     np.testing.assert_allclose(whole[used], found)
     own, given = steps_along(whole), steps_along(poses)
     is_between = ~np.isin(np.arange(200), used)

@@ -80,7 +80,7 @@ def test_distances_of_a_straight_wall_are_true(
 
 
 SPARSE = Lidar(31, max_range=6.0, field_of_view=math.radians(120.0))
-filled = eqx.filter_jit(lambda ends, number: ends.filled(number, is_full_circle=False))
+filled = eqx.filter_jit(lambda ends, number: ends.fill(number, is_full_circle=False))
 
 
 def test_between_beams_of_one_surface_it_is_written_too(scan_of: Callable[..., Scan]) -> None:

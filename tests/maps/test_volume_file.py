@@ -235,11 +235,11 @@ FALSE: dict[str, tuple[str, bytes, str]] = {
         archive({"solid": array_file("'|V2000000000'", "(9,)")}),
         "type [|]V2000000000",
     ),
-    "no bytes": ("npz", archive({"solid": array_file("'|V0'", "(9, 9, 9)")}), "type dtype.'V'"),
+    "no bytes": ("npz", archive({"solid": array_file("'|V0'", "(9, 9, 9)")}), "type [|]V0"),
     "record": (
         "npz",
         archive({"solid": array_file("[('a', '|b1', (1000000000,))]", "(2,)")}),
-        r"type dtype.*1000000000",
+        r"type .*1000000000",
     ),
     "long corner": ("npz", archive({"solid": ROOM, "origin": LARGE}), "origin has shape"),
     "members": ("npz", b"PK\1\2" * 20_000, "more than 10000 members"),

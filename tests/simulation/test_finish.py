@@ -15,7 +15,7 @@ from jaxplore.simulation.exploration.finish import Knowledge, chosen_target, is_
 
 NOTHING, HALF = jnp.zeros(()), jnp.asarray(0.5)
 after = eqx.filter_jit(lambda known, belief, target: known.after(belief, jnp.ones(2), HALF, target))
-counted = eqx.filter_jit(lambda grid: Knowledge.nothing().counted(grid))
+counted = eqx.filter_jit(lambda grid: Knowledge.nothing().count_walls(grid))
 
 
 def knowing(cost: float) -> Belief:

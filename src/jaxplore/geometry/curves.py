@@ -205,7 +205,7 @@ def path_through(
         _curve(knots[first : last + 1], method, boundary, is_closed)
         for first, last in itertools.pairwise(ends.tolist())
     ]
-    curve = _joined(curves) if len(curves) > 1 else curves[0]
+    curve = _join(curves) if len(curves) > 1 else curves[0]
     count = count_nodes(curve.length, curve.curvature)
     stops = np.cumsum([each.length for each in curves])[:-1]
     if stops.size:
@@ -288,7 +288,7 @@ def _curve(knots: np.ndarray, method: str, boundary: str, is_closed: bool) -> _C
     return _Curve(lambda phi: spline(parameter(phi)), direction, total, curvature, parameter, at)
 
 
-def _joined(curves: list[_Curve]) -> _Curve:
+def _join(curves: list[_Curve]) -> _Curve:
     """Return curves one after the other."""
     starts = np.concatenate([[0.0], np.cumsum([each.length for each in curves])])
     chords = np.concatenate([[0.0], np.cumsum([each.at[-1] for each in curves])])

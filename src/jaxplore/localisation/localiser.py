@@ -212,7 +212,7 @@ class Localiser(PoseEstimator):
             pose=pose,
             covariance=covariance,
             errors=errors,
-            surface=state.surface.with_scan(pose, self._filled(ends, sensors[0]), state.way),
+            surface=state.surface.with_scan(pose, self._fill(ends, sensors[0]), state.way),
             share=match.share,
         )
         return self._stored(state, scans)
@@ -261,7 +261,7 @@ class Localiser(PoseEstimator):
 
         def add(index: Count, surface: SurfaceMap) -> SurfaceMap:
             ends = self.end_points(stored.scan(index, sensors)[0], sensors[0])
-            ends = self._filled(ends, sensors[0])
+            ends = self._fill(ends, sensors[0])
             return surface.with_scan(stored.poses[index], ends, stored.way[index])
 
         surface: SurfaceMap = jax.lax.fori_loop(first, end, add, empty)
@@ -271,8 +271,8 @@ class Localiser(PoseEstimator):
         """Return the end points of a scan, with lines as long as its noise needs."""
         return EndPoints.of(sensor, scan, self.noise)
 
-    def _filled(self, ends: EndPoints, sensor: Beams) -> EndPoints:
-        return ends.filled(self.filling, self.noise, is_full_circle=sensor.is_full_circle)
+    def _fill(self, ends: EndPoints, sensor: Beams) -> EndPoints:
+        return ends.fill(self.filling, self.noise, is_full_circle=sensor.is_full_circle)
 
 
 def floor() -> Matrix:

@@ -165,7 +165,7 @@ def map_log(
         assert key is not None
         motions = np.asarray(drifted_motions(log, drift, key)[0], np.float64)
     dead_reckoned = accumulate_motions(first, motions)
-    used = _moved(dead_reckoned)
+    used = _thin_scans(dead_reckoned)
     sensor = log_sensor(log, max_range)
     scans = all_scans(log, sensor, used)
     path = float(np.hypot(*motions[:, :2].T).sum())
@@ -194,7 +194,7 @@ def map_log(
             _localiser_of(wide_odometry(), sampling, len(used)),
             min(SCANS_TO_FIT, len(used)),
         )
-        state, track = drive.localised(wide, *drive.begun(wide, first), 0, number)
+        state, track = drive.localise(wide, *drive.begun(wide, first), 0, number)
         matched = np.asarray(_poses(track, state.scans.poses), np.float64)[:number]
         model = fit_odometry(np.asarray(drive.motions, np.float64)[1:number], matched)
     if localiser is None:
@@ -202,13 +202,13 @@ def map_log(
     state, track = drive.begun(localiser, first)
     for begin in range(0, len(used), SCANS_PER_SEARCH):
         end = min(begin + SCANS_PER_SEARCH, len(used))
-        state, track = drive.localised(localiser, state, track, begin, end)
+        state, track = drive.localise(localiser, state, track, begin, end)
         state = closer.examined(localiser, state, drive.sensors)
         settled = closer.settled(localiser, state, drive.sensors)
         state = state if settled is None else settled
         on_progress(int(used[end - 1]) + 1, int(state.closures.number))
     found = np.asarray(_poses(track, state.scans.poses), np.float64)
-    estimated = _followed(found, dead_reckoned, used)
+    estimated = _follow_odometry(found, dead_reckoned, used)
     true = log.poses - np.append(start, 0.0) if has_truth else None
     loops = np.asarray(state.closures.pairs)[: int(state.closures.number)].astype(np.int64)
     # Of the stored scans; those of the log at which they were stored.
@@ -232,7 +232,7 @@ def _part_of(log: LaserLog, used: NDArray[np.int64]) -> LaserLog:
     return log._replace(**arrays)
 
 
-def _moved(poses: _Floats) -> NDArray[np.int64]:
+def _thin_scans(poses: _Floats) -> NDArray[np.int64]:
     """Return the indices of the poses that are far enough from the one before of them."""
     kept = [0]
     for index in range(1, len(poses)):
@@ -242,7 +242,7 @@ def _moved(poses: _Floats) -> NDArray[np.int64]:
     return np.array(kept)
 
 
-def _followed(found: _Floats, dead_reckoned: _Floats, used: NDArray[np.int64]) -> _Floats:
+def _follow_odometry(found: _Floats, dead_reckoned: _Floats, used: NDArray[np.int64]) -> _Floats:
     """Return the poses of all scans: those between used ones follow from these by the odometry."""
     before = np.searchsorted(used, np.arange(len(dead_reckoned)), side="right") - 1
     motions = motions_between(dead_reckoned[used[before]], dead_reckoned)
@@ -288,7 +288,7 @@ class _Drive(NamedTuple):
         state = localiser.init(jnp.asarray(pose, jnp.float32), self.frame, self.shape, self.sensors)
         return state, _Track(jnp.zeros((number, 3)), jnp.zeros(number, jnp.int32))
 
-    def localised(
+    def localise(
         self, localiser: Localiser, state: LocaliserState, track: _Track, begin: int, end: int
     ) -> tuple[LocaliserState, _Track]:
         """Return the state after the scans from `begin` to before `end`."""

@@ -78,13 +78,13 @@ def fit_odometry(measured: _Floats, matched: _Floats) -> Odometry:
     error[:, 2] -= math.tau * np.round(error[:, 2] / math.tau)
     # A turn that was measured small by its error would say that small turns err much.
     sizes = np.stack([np.hypot(*moved[:, :2].T), np.abs(moved[:, 2])], axis=1)
-    by_metre, slip = _fitted(sizes, 0.5 * (error[:, :2] ** 2).sum(axis=1))
-    turn_by_metre, turn_noise = _fitted(sizes, error[:, 2] ** 2)
+    by_metre, slip = _fit(sizes, 0.5 * (error[:, :2] ** 2).sum(axis=1))
+    turn_by_metre, turn_noise = _fit(sizes, error[:, 2] ** 2)
     found = (by_metre, turn_by_metre, turn_noise, slip)
     return Odometry(*(max(least, each) for least, each in zip(LEAST, found, strict=True)))
 
 
-def _fitted(sizes: _Floats, squares: _Floats) -> tuple[float, float]:
+def _fit(sizes: _Floats, squares: _Floats) -> tuple[float, float]:
     """Return the standard deviations after a metre and after a radian."""
     from scipy.optimize import nnls  # slow to import, and few need it
 

@@ -60,13 +60,13 @@ def judge_poses(log: LaserLog, poses: _Floats, max_range: float) -> Trust:
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     places, steps = [], []
     for index in range(1, len(poses)):
-        steps.append(_compared(log, poses, index, index - 1, max_range))
+        steps.append(_compare(log, poses, index, index - 1, max_range))
         old = np.flatnonzero(way[index] - way[:index] > APART)
         old = old[np.hypot(*(poses[old, :2] - poses[index, :2]).T) <= NEAR]
         if len(old):
             # Of those that are near the one that looks into the most similar direction.
             turn = np.cos(poses[old, 2] - poses[index, 2])
-            places.append(_compared(log, poses, index, int(old[turn.argmax()]), max_range))
+            places.append(_compare(log, poses, index, int(old[turn.argmax()]), max_range))
     again, doubtful, contradicted = _doubts(places)
     _, doubtful_steps, _ = _doubts(steps)
     warning = ""
@@ -90,7 +90,7 @@ def _doubts(shares: list[tuple[float, float] | None]) -> tuple[int, float, float
     return len(known), float(is_doubtful.mean()), float(np.median(before))
 
 
-def _compared(
+def _compare(
     log: LaserLog, poses: _Floats, newer: int, older: int, max_range: float
 ) -> tuple[float, float] | None:
     """Return which shares of the points of two scans are before what the other met, and on it.

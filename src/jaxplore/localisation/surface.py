@@ -117,7 +117,7 @@ class EndPoints(eqx.Module):
         is_point = is_point & ((count >= 3.0) | is_first)
         return cls(points, anchors, normals, is_point, is_flat & is_point, tilt)
 
-    def filled(
+    def fill(
         self, number: int, noise: ArrayLike = USUAL_NOISE, *, is_full_circle: bool
     ) -> "EndPoints":
         """Return the points with others between neighbours that are on one line.

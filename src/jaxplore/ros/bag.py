@@ -216,13 +216,13 @@ def _opened(path: str | os.PathLike[str], *, is_checked: bool = False) -> Iterat
     if not is_checked:
         _check_files(Path(path))
     with ExitStack() as stack:
-        with _readable(path), _rows_limited():
+        with _readable(path), _limit_rows():
             reader = stack.enter_context(module.Reader(Path(path)))
         yield reader
 
 
 @contextmanager
-def _rows_limited() -> Iterator[None]:
+def _limit_rows() -> Iterator[None]:
     """Let the databases that are opened refuse long rows before they take memory for them."""
     apsw = import_optional("apsw", EXTRA)
 

@@ -87,7 +87,7 @@ def check_records(path: Path, limit: int = CHUNK_LIMIT) -> None:
         end = file.seek(0, 2)
         file.seek(len(_ROS1_MAGIC))
         while file.tell() < end:
-            fields = _fields(_sized(file, end, limit))
+            fields = _fields(_read_sized(file, end, limit))
             (size,) = struct.unpack("<I", file.read(4))
             following = file.tell() + size
             if size > limit or following > end:
@@ -100,7 +100,7 @@ def check_records(path: Path, limit: int = CHUNK_LIMIT) -> None:
             file.seek(following)
 
 
-def _sized(file: BinaryIO, end: int, limit: int) -> bytes:
+def _read_sized(file: BinaryIO, end: int, limit: int) -> bytes:
     """Return the bytes that follow, whose number comes first."""
     (size,) = struct.unpack("<I", file.read(4))
     if size > min(limit, end - file.tell()):

@@ -171,7 +171,7 @@ def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = N
     where = printable_path(file)
     lines = LogLines()
     try:
-        for at, line in enumerate(io.BytesIO(_unpacked(file)), start=1):
+        for at, line in enumerate(io.BytesIO(_unpack(file)), start=1):
             lines.add(at, line)
     except ValueError as error:
         raise ValueError(f"{where}, {error}") from None
@@ -213,7 +213,7 @@ def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = N
     )
 
 
-def _unpacked(path: Path) -> bytes:
+def _unpack(path: Path) -> bytes:
     """Return the text of a log in ASCII, unpacked.
 
     Raises:
@@ -221,13 +221,13 @@ def _unpacked(path: Path) -> bytes:
     """
     data = read_bytes(path, "a CARMEN log", LOG_LIMIT)
     if data[:2] == b"\x1f\x8b":
-        data = _inflated(data, path)
+        data = _inflate(data, path)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", "replace").encode("ascii", "replace")
     return data.removeprefix(b"\xef\xbb\xbf")
 
 
-def _inflated(data: bytes, path: Path) -> bytes:
+def _inflate(data: bytes, path: Path) -> bytes:
     """Return what gzip has packed; of a damaged file what comes before the damage."""
     parts: list[bytes] = []
     size = 0

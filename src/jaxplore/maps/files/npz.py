@@ -30,7 +30,7 @@ type CheckHeader = Callable[[str, tuple[int, ...], np.dtype[Any]], None]
 
 def array_names(data: bytes) -> list[str]:
     """Return the names of the arrays in a file, in its order."""
-    with _opened(data) as archive:
+    with _open(data) as archive:
         return [name.removesuffix(".npy") for name in archive.namelist()]
 
 
@@ -48,7 +48,7 @@ def read_arrays(
         ValueError: what `check` refuses, and arrays that are not plain. A file that is malformed
             may raise any of `MALFORMED_NPZ`.
     """
-    with _opened(data) as archive:
+    with _open(data) as archive:
         return {
             name: _array(archive, member, check)
             for member in archive.infolist()
@@ -92,7 +92,7 @@ def read_array(
     return np.frombuffer(data, dtype).reshape(shape, order="F" if by_column else "C")
 
 
-def _opened(data: bytes) -> zipfile.ZipFile:
+def _open(data: bytes) -> zipfile.ZipFile:
     """Open an archive whose list of members is bounded: a reader keeps ten times its bytes."""
     if data.count(_MEMBER) > MOST_MEMBERS:
         raise ValueError(f"it has more than {MOST_MEMBERS} members")

@@ -61,7 +61,7 @@ def place(
             UserWarning,
             stacklevel=4,
         )
-    return _turned(geometry.corners, axis) * factor
+    return _turn(geometry.corners, axis) * factor
 
 
 def _least(extent: NDArray[np.float64]) -> str | None:
@@ -72,7 +72,7 @@ def _least(extent: NDArray[np.float64]) -> str | None:
     return None
 
 
-def _turned(points: NDArray[np.float64], up: str) -> NDArray[np.float64]:
+def _turn(points: NDArray[np.float64], up: str) -> NDArray[np.float64]:
     """Return points (N, 3) turned so that an axis of theirs is z: a rotation, no reflection."""
     x, y, z = points.T
     if up == "y":

@@ -234,7 +234,7 @@ def _geometry_volume(
     points -= low
     points /= side
     if is_cloud:
-        return VolumeFile(shape, side, low, lambda: _counted(points, shape) >= min_points, name)
+        return VolumeFile(shape, side, low, lambda: _count(points, shape) >= min_points, name)
     surface = len(faces) + _area(points, faces)
     if not surface <= _MOST_SURFACE:
         raise refuse(
@@ -270,7 +270,7 @@ def _box(points: Points, side: float, refuse: Refuse) -> tuple[Triple, tuple[int
     return (x, y, z), (depth, height, width)
 
 
-def _counted(points: Points, shape: tuple[int, int, int]) -> NDArray[np.int32]:
+def _count(points: Points, shape: tuple[int, int, int]) -> NDArray[np.int32]:
     """Return the number of points in each voxel (D, H, W)."""
     number = np.zeros(shape, np.int32)
     top = np.array(shape) - 1

@@ -117,12 +117,12 @@ class _Ways:
             way = [int(end)]
             while way[-1] != start:
                 way.append(int(before[way[-1]]))
-            corners = self._straightened(self._cells[way])
+            corners = self._straighten(self._cells[way])
             if 2 * len(corners) - 2 <= CORNERS:
                 return corners
         return [self._cells[start]]
 
-    def _straightened(self, way: np.ndarray) -> list[np.ndarray]:
+    def _straighten(self, way: np.ndarray) -> list[np.ndarray]:
         """Return the corners that are left if all that can be is walked straight."""
         corners, at = [way[0]], 0
         while at < len(way) - 1:

@@ -216,7 +216,7 @@ class WaypointController(Controller):
         self, state: Any, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, Any, Info]:
         """Return the control, the controller's new state and its diagnostics."""
-        guided = self._guided(belief)
+        guided = self._guide(belief)
         return self.drive.step(state, observation, guided, key=key)
 
     def inspect(
@@ -229,7 +229,7 @@ class WaypointController(Controller):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return the sampled plan of `step` with the same arguments."""
-        guided = self._guided(belief)
+        guided = self._guide(belief)
         return self.drive.inspect(
             state, observation, guided, key=key, num_trajectories=num_trajectories
         )
@@ -238,5 +238,5 @@ class WaypointController(Controller):
         """Return this controller for commands that are `control_period` seconds apart."""
         return WaypointController(self.drive.at_period(control_period), self.way, self.waypoint)
 
-    def _guided(self, belief: Any) -> Any:
+    def _guide(self, belief: Any) -> Any:
         return dataclasses.replace(belief, to_goal=self.way, goal=self.waypoint, goal_heading=None)

@@ -106,7 +106,7 @@ class Knowledge(NamedTuple):
             is_worth = leads_to_information(cost)
         return self._replace(idle=jnp.where(is_worth, 0.0, self.idle + period))
 
-    def counted(self, grid: OccupancyGrid) -> "Knowledge":
+    def count_walls(self, grid: OccupancyGrid) -> "Knowledge":
         """Return the knowledge with the share of walls of a map."""
         free = jnp.pad(grid.is_free, 1)
         beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]

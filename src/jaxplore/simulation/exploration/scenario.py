@@ -444,7 +444,7 @@ class ExplorationScenario(Scenario):
         if self.target == "walls":
             known = jax.lax.cond(
                 senses.is_scan_due(moment.step),
-                lambda: known.counted(state.belief.grid),
+                lambda: known.count_walls(state.belief.grid),
                 lambda: known,
             )
             state = state._replace(gain=gain.after(known.walls, self.control_period))

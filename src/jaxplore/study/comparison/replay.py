@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
+from jaxplore._files import MALFORMED
 from jaxplore.report.exploration.data import ExplorationData
 
 NEVER = 255
@@ -35,7 +36,7 @@ def seen_cells(picture: bytes, shape: tuple[int, int]) -> np.ndarray | None:
     """
     try:
         cells = np.asarray(Image.open(io.BytesIO(picture), formats=("PNG",)))
-    except Exception:
+    except (*MALFORMED, OSError, EOFError, SyntaxError, Image.DecompressionBombError):
         # Pillow raises errors of many kinds for damaged pictures.
         return None
     is_map = cells.ndim == 2 and cells.dtype == np.uint8

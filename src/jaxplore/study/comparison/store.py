@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from jaxplore._files import open_regular, parse_json, read_bytes
+from jaxplore._files import MALFORMED, open_regular, parse_json, read_bytes
 from jaxplore._locks import OWN
 from jaxplore._optional import import_optional
 from jaxplore._text import short_repr
@@ -377,6 +377,7 @@ def _text(value: object) -> str:
 def _read(files: Sequence[Path], columns: list[str] | None) -> Iterator[tuple[Path, Row]]:
     """Yield the rows of files; a damaged file, as after a power cut, is skipped."""
     parquet = import_optional("pyarrow.parquet", "comparison")
+    arrow = import_optional("pyarrow", "comparison")
     expected = schema()
     for path in files:
         try:
@@ -387,8 +388,7 @@ def _read(files: Sequence[Path], columns: list[str] | None) -> Iterator[tuple[Pa
                 # A row of another version has other columns, and is run again.
                 is_row = file.schema_arrow.equals(expected) and file.metadata.num_rows == 1
                 rows = file.read(columns=columns).to_pylist() if is_row else []
-        except Exception:
-            # A damaged file may raise errors of any kind.
+        except (*MALFORMED, OSError, arrow.ArrowException):
             continue
         yield from ((path, row) for row in rows)
 
