@@ -8,7 +8,8 @@ bag format 2.0 of ROS 1.
 
 import bz2
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -37,20 +38,27 @@ def check_chunks(path: Path, limit: int = CHUNK_LIMIT) -> None:
         ValueError: a chunk that may be larger, or is packed in a way that is not known; a file that
             is no MCAP. A damaged one may raise a `struct.error` or an `IndexError`.
     """
-    opened = open_regular(path)
-    if opened is None:
-        raise ValueError("it is not there or not a file")
-    with opened as file:
-        if file.read(len(_MAGIC)) != _MAGIC:
-            raise ValueError("it is no MCAP file")
-        end = file.seek(0, 2)
-        file.seek(len(_MAGIC))
+    with _open_after(_MAGIC, path, "MCAP file") as (file, end):
         while file.tell() < end - len(_MAGIC):
             kind, size = struct.unpack("<BQ", file.read(9))
             following = file.tell() + size
             if kind == _CHUNK:
                 _check_chunk(file, limit)
             file.seek(following)
+
+
+@contextmanager
+def _open_after(magic: bytes, path: Path, kind: str) -> Iterator[tuple[BinaryIO, int]]:
+    """Open a file that begins with some bytes, behind them; yield it and its size."""
+    opened = open_regular(path)
+    if opened is None:
+        raise ValueError("it is not there or not a file")
+    with opened as file:
+        if file.read(len(magic)) != magic:
+            raise ValueError(f"it is no {kind}")
+        end = file.seek(0, 2)
+        file.seek(len(magic))
+        yield file, end
 
 
 def _check_chunk(file: BinaryIO, limit: int) -> None:
@@ -78,14 +86,7 @@ def check_records(path: Path, limit: int = CHUNK_LIMIT) -> None:
             not known; a file that is no such bag, or ends within a record. A damaged one may raise
             a `struct.error`, an `IndexError` or an `OSError`.
     """
-    opened = open_regular(path)
-    if opened is None:
-        raise ValueError("it is not there or not a file")
-    with opened as file:
-        if file.read(len(_ROS1_MAGIC)) != _ROS1_MAGIC:
-            raise ValueError("it is no bag of ROS 1, version 2.0")
-        end = file.seek(0, 2)
-        file.seek(len(_ROS1_MAGIC))
+    with _open_after(_ROS1_MAGIC, path, "bag of ROS 1, version 2.0") as (file, end):
         while file.tell() < end:
             fields = _fields(_read_sized(file, end, limit))
             (size,) = struct.unpack("<I", file.read(4))
