@@ -121,9 +121,11 @@ def places(cells: np.ndarray, radius: float, number: int, seed: int) -> np.ndarr
     free = np.argwhere(reachable_cells(grid, spot, radius + ROOM))
     rng = np.random.default_rng(seed)
     rows: list[list[float]] = []
+    # In a room that is too small for the robot, the goals are nearer.
+    nearest = min(NEAREST, 0.5 * RESOLUTION * np.hypot(*np.ptp(free, axis=0)))
     while len(rows) < number:
         start, goal = (RESOLUTION * (free[rng.integers(len(free))][::-1] + 0.5) for _ in range(2))
-        if NEAREST <= np.hypot(*(goal - start)) <= FARTHEST:
+        if nearest <= np.hypot(*(goal - start)) <= FARTHEST:
             rows.append([*start, rng.uniform(-np.pi, np.pi), *goal])
     return np.array(rows, np.float32)
 

@@ -366,6 +366,10 @@ def test_decompositions_by_name(decomposition: str, names: tuple[str, ...]) -> N
         ({"world": {"targets": [[3.2, 2.4], [9.0, 0.0]]}}, "targets[1]"),
         ({"world": {"wings": 2}}, "wings"),
         ({"world": {"movers": [{"path": [[1.0, 1.0]], "speed": -1.0, "radius": 0.2}]}}, "movers[0"),
+        (
+            {"returns": True, "goal": [3.2, 1.6]},
+            "returns is true beside the goal [3.2, 1.6]; accep",
+        ),
         ({"terrain": {"height_map": "hills.png"}}, "terrain.height_map is 'hills.png'"),
         ({"terrain": {"max_slope": 0.0}}, "setting terrain.max_slope is 0.0"),
         ({"start": [0.0, 0.0, 0.0]}, "in a wall"),
@@ -383,6 +387,17 @@ def test_a_member_that_is_to_weigh_nothing_is_refused() -> None:
     )
     with pytest.raises(ValueError, match="weights"):
         build(settings)
+
+
+@pytest.mark.parametrize("architecture", ["explorer", "portfolio"])
+def test_a_robot_that_returns_has_its_start_as_its_goal_when_all_is_explored(architecture) -> None:
+    world = {**SMALL["world"], "targets": [], "movers": []}
+    home = {"returns": True, "architecture": architecture, "watch": None}
+    scenario = build(make_settings({**SMALL, "map": "yard", "world": world, **home})).scenario
+    assert scenario.goal.tolist() == scenario.start[:2].tolist()
+    assert scenario.max_unknown == scenario.perception.max_unknown == 0.0
+    # Guidance to the goal on its own would keep the robot near its start.
+    assert not scenario.perception.is_goal_apart
 
 
 def test_a_goal_that_cannot_be_reached_is_one_line(fails) -> None:

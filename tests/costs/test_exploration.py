@@ -6,7 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import Cost, GuidanceCost, InformationCost
+from jaxplore import (
+    Cost,
+    DifferentialDrive,
+    GuidanceCost,
+    InformationCost,
+    Omnidirectional,
+    Quadrotor,
+    State,
+)
 from jaxplore.belief.belief import StrategicBelief
 from jaxplore.costs import HomingCost, LocalInformationCost, PotentialCost, StrategyReferenceCost
 from jaxplore.information.heading_field import HeadingField
@@ -49,6 +57,27 @@ def test_guidance_cost_counts_no_deeper_than_its_reach_below_the_robot(belief, a
     assert price(5.0, here) == pytest.approx(2.0 * 4.5 - 2.5, abs=1e-4)
     # A robot off the lattice has nothing to compare with.
     assert price(1.0, jnp.asarray([-50.0, 3.0, 0.0])) == pytest.approx(2.0 * 0.5 - 2.5, abs=1e-4)
+
+
+@pytest.mark.parametrize("robot", [Quadrotor(), Omnidirectional(), DifferentialDrive()])
+def test_at_a_goal_every_motion_costs_that_a_robot_must_stop(belief, robot) -> None:
+    """By the formula, where the goal is and the cost to go is that of the goal alone."""
+    goal = jnp.asarray([4.0, 3.0])
+    home = dataclasses.replace(belief, goal=goal, is_explored=jnp.array(True), pose=jnp.zeros(3))
+    cost, control = GuidanceCost(turning=0.0), jnp.zeros(robot.control_size)
+    rest = robot.at_pose(4.0, 3.0, 0.0)
+
+    def price(name: str, value: float) -> float:
+        state = State(robot.with_component(rest, name, value), robot)
+        return float(cost.stage(state, control, jnp.asarray(0.1), home))
+
+    still = price("x", 4.0)
+    for name in set(robot.state_names) & {"v", "vx", "vy", "vz", "omega", "wx", "wy", "wz"}:
+        turns = name not in {"v", "vx", "vy", "vz"}
+        squared = (0.5 * 0.2) ** 2 if turns else 0.2**2
+        # On the ground the distance by which the goal would be overrun is paid as well.
+        overrun = 0.0 if turns or name == "vz" else 2.0 * 0.2**2 / float(robot.deceleration)
+        assert price(name, 0.2) - still == pytest.approx(0.3 * squared + overrun, rel=1e-4)
 
 
 @pytest.mark.parametrize("cost", [InformationCost(), GuidanceCost()])

@@ -163,7 +163,8 @@ def _zone_choice(
 
 def _portfolio(settings: Settings, world: RunWorld, chassis: Chassis | None) -> Portfolio:
     given = settings.portfolio
-    goal = None if world.goal is None else world.goal[:2]
+    # The way back is the guidance's, once nothing is left to learn.
+    goal = None if world.goal is None or settings.returns else world.goal[:2]
     return ground_portfolio(
         # Within a plan Euler's error is millimetres, and it saves a fifth of the time.
         build_robot(settings.robot, Euler()),

@@ -109,11 +109,19 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         ),
         planted=None if settings.anomalies is None else world.planted,
         datum=world.datum,
-        **arguments(settings, ExplorationScenario),
+        **{**arguments(settings, ExplorationScenario), "max_unknown": _max_unknown(settings)},
         **arguments(settings.rates, ExplorationScenario),
     ).varied(build_variation(settings.variation))
     has_guard = settings.guard and settings.fleet is None
     return scenario.guarded(MotionGuard() if has_guard else None)
+
+
+def _max_unknown(settings: Settings) -> float | None:
+    """Return the share of unknown cells at which the goal is next; None for the default."""
+    if settings.max_unknown is None and settings.returns:
+        # A robot that shall come back explores all that it can.
+        return 0.0
+    return settings.max_unknown
 
 
 def _perception(
@@ -123,9 +131,8 @@ def _perception(
     watch, test = settings.watch, settings.anomalies
     # When absent, the default of `Perception` applies, not that of the scenario.
     tracker = ObstacleTracker(**arguments(settings.people, ObstacleTracker))
-    unknown: dict[str, Any] = (
-        {} if settings.max_unknown is None else {"max_unknown": settings.max_unknown}
-    )
+    share = _max_unknown(settings)
+    unknown: dict[str, Any] = {} if share is None else {"max_unknown": share}
     return Perception(
         sensors,
         world.grid.resolution,
@@ -142,7 +149,9 @@ def _perception(
         ),
         recognition=build_recognition(settings.detector),
         # Only the portfolio has an objective that reads the cost to go to the goal on its own.
-        is_goal_apart=settings.architecture == "portfolio" and goal is not None,
+        is_goal_apart=settings.architecture == "portfolio"
+        and goal is not None
+        and not settings.returns,
         car=car_motion(robot),
         is_localising=settings.localisation is not None,
         tracker=tracker if expects_people(settings, world) else None,

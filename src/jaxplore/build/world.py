@@ -64,9 +64,17 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
 
     Raises:
         ValueError: a map, world or height map that cannot be read; a start that is not given, on a
-            map without a place for the robot.
+            map without a place for the robot; a goal beside `returns`.
     """
     world, given = _still_world(settings, radius), settings.people
+    if settings.returns:
+        if world.goal is not None or settings.fleet is not None:
+            other = "a fleet" if world.goal is None else f"the goal {list(world.goal)}"
+            raise ValueError(
+                f"returns is true beside {other}; accepted: one robot without a goal, which drives "
+                "back to its start"
+            )
+        world = world._replace(goal=tuple(world.start[:2]))
     if not given.number:
         return world
     people = walking_people(

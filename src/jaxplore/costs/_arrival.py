@@ -6,6 +6,7 @@ from jaxplore._types import Position, Scalar
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.costs._distance import offset
 from jaxplore.dynamics.base import State
+from jaxplore.dynamics.goal_check import ARM
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import length
 
@@ -95,7 +96,18 @@ def homing_cost(
     fading = jnp.minimum(distance / FADING, 1.0)
     total = with_overrun(state, jnp.where(is_near, distance, to_go)) + turning * fading * missing
     nearness = jnp.exp(-((distance / FADING) ** 2))
-    total = total + SETTLING * nearness * state.squared_speed
+    total = total + SETTLING * nearness * _squared_motion(state)
     if heading is None:
         return total
     return total + HEADING * nearness * (1.0 - sin_cos(yaw - heading)[1])
+
+
+def _squared_motion(state: State) -> Scalar:
+    """Return the square of what must vanish at rest: the speed, and that of what turns with it."""
+    names = state.dynamics.state_names
+    total = state.squared_speed
+    if "vz" in names:
+        total = total + state["vz"] ** 2
+    for name in {"omega", "wx", "wy", "wz"} & set(names):
+        total = total + (ARM * state[name]) ** 2
+    return total

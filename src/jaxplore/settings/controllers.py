@@ -112,7 +112,7 @@ class InformativeSettings(Section):
     horizon: StepsAhead = setting(Flight, "horizon")
     num_samples: Samples = setting(Flight, "num_samples")
     noise: NoiseName = setting(Flight, "noise")
-    weighting: WeightingName = setting(Flight, "weighting")
+    weighting: WeightingName | None = setting(Flight, "weighting")
     temperature: Positive = setting(Flight, "temperature")
     effective_share: Share = setting(Flight, "effective_share")
     noise_std: Deviations | None = setting(Flight, "noise_std")

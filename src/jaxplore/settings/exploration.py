@@ -202,6 +202,8 @@ class Settings(RunSettings):
             your own, a rule (`jaxplore.planning.TargetRule`) or a function from a scenario to a
             controller.
         goal: goal position (x, y) or (x, y, z) [m]; a world may define its own.
+        returns: whether the robot drives back to its start when it has nothing left to learn; the
+            start is then the goal.
         time_limit: simulated time [s].
         map_file: how the image of a ROS map is read.
         office: the generated office, for the map `office`.
@@ -234,6 +236,7 @@ class Settings(RunSettings):
     world: dict[str, Any] | None = None
     architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
     goal: tuple[Real, Real] | tuple[Real, Real, Real] | None = None
+    returns: bool = False
     goal_radius: Length = setting(ExplorationScenario, "goal_radius")
     goal_heading: Real | None = setting(ExplorationScenario, "goal_heading")
     goal_tolerance: Positive = setting(ExplorationScenario, "goal_tolerance")

@@ -50,7 +50,8 @@ class Flight(NamedTuple):
             (splines through 8 knots).
         noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank. New
             numbers take half of the time of a quadrotor's command; a bank has stored ones.
-        weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
+        weighting: weighting of the rollouts, or its name: softmax, adaptive or elite. When absent,
+            softmax around a reference (`two-layer`, `sequential`), and adaptive without one.
         effective_share: share of the samples that count: the least one of the adaptive softmax,
             that of the elite.
         altitude: z to keep, for robots that have one [m].
@@ -70,8 +71,8 @@ class Flight(NamedTuple):
     control_period: ArrayLike = 0.02
     parameterisation: Parameterisation | str = "direct"
     noise: Noise | str = "bank"
-    weighting: Weighting | str = "softmax"
-    effective_share: ArrayLike = 0.05
+    weighting: Weighting | str | None = None
+    effective_share: ArrayLike = 0.01
     altitude: ArrayLike = -2.0
     max_speed: ArrayLike = 2.0
     clearance: ArrayLike = 0.6
@@ -118,7 +119,7 @@ class Flight(NamedTuple):
             dt=self.dt,
             parameterisation=self.parameterisation,
             noise=self.noise,
-            weighting=self.weighting,
+            weighting="adaptive" if self.weighting is None else self.weighting,
             temperature=self.temperature,
             effective_share=self.effective_share,
             # The control cost that the likelihood ratio stands for keeps a quadrotor near hovering.
@@ -127,7 +128,10 @@ class Flight(NamedTuple):
 
     def mppi(self, robot: Dynamics, cost: Cost, proposal: Proposal | None = None) -> MPPI:
         """Build MPPI with these parameters, and with a proposal of one's own if it is given."""
-        parts = self.sampling(robot)
+        # Without a reference one of a thousand samples would decide, and a robot at its goal would
+        # not come to rest. Around a reference more than that are good.
+        is_free = proposal is None or self.weighting is not None
+        parts = (self if is_free else self._replace(weighting="softmax")).sampling(robot)
         return MPPI(
             robot,
             (1.0 / self.horizon) * cost,

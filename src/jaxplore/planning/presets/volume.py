@@ -111,7 +111,7 @@ def volume_explorer(
         dt=dt,
         control_period=_checks.scalar("control_period", control_period, above=0.0),
         temperature=temperature,
-        weighting="adaptive",
+        effective_share=0.05,
     )
     return flight.mppi(robot, cost)
 

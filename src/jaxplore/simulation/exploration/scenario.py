@@ -61,6 +61,7 @@ from jaxplore.simulation.exploration.agent_view import ExplorationView
 from jaxplore.simulation.exploration.carrying import carried, check_carrying, landing
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.finish import (
+    NEVER,
     chosen_target,
     default_give_up_after,
     default_objective,
@@ -94,10 +95,11 @@ class ExplorationScenario(Scenario):
 
     When it is finished depends on the task:
 
-    - By default: at the target coverage, which the true map tells and the robot does not know.
-    - With the target `information`, as without a target coverage: when the robot has nothing left
-      to learn by its own map, as in the node. No place with enough information, see
-      `Perception.min_information`, has been reachable for 3 s.
+    - By default, with the target `information`: when the robot has nothing left to learn by its own
+      map, as in the node. No place with enough information, see `Perception.min_information`, has
+      been reachable for 3 s.
+    - With a target coverage: at this coverage, which the true map tells and the robot does not
+      know. It is for comparisons.
     - With the target `walls`: when of the cells around its known free space a share
       `target_coverage` are known walls, or when nothing at all is left to learn.
     - With a goal: when the robot has reached it (`GoalCheck`), with less than `max_unknown` of the
@@ -107,9 +109,9 @@ class ExplorationScenario(Scenario):
       perception has a `Recognition`.
     - With a watch, without target coverage, goal and targets: never before the time limit.
 
-    If only the coverage or the walls count, the exploration is given up when the share has not
-    risen by 0.1 % for `give_up_after`: what is left cannot be seen from where the robot fits, or is
-    not worth a drive. The run then ends without being finished.
+    If only the map counts, the exploration is given up when the coverage, or the share of walls
+    that is the target, has not risen by 0.1 % for `give_up_after`: what is left cannot be seen from
+    where the robot fits, or is not worth a drive. The run then ends without being finished.
 
     Cells that the world does not know to be free are solid. *Reachable* are the free cells that the
     centre of the robot's disc can reach from the start. Coverage is the share of them that the
@@ -135,7 +137,7 @@ class ExplorationScenario(Scenario):
             default the coverage if there is a target, else the information, and on a patrol
             nothing; static.
         target_coverage: share of the reachable cells, or of the walls, at which exploration is
-            finished; None for none.
+            finished; none when absent.
         give_up_after: time without a rise of the coverage after which the exploration is given up
             [s]; when absent a minute and the time of a drive along the diagonal of the map and
             back.
@@ -218,7 +220,7 @@ class ExplorationScenario(Scenario):
         sensing_rate: float = 10.0,
         field_rate: float = 5.0,
         target: str | None = None,
-        target_coverage: ArrayLike | None = 0.99,
+        target_coverage: ArrayLike | None = None,
         give_up_after: ArrayLike | None = None,
         prior: OccupancyGrid | None = None,
         goal: Vector | None = None,
@@ -542,7 +544,7 @@ class ExplorationScenario(Scenario):
         """
         if self.goal is not None or self.num_targets > 0:
             return jnp.array(False)
-        is_judged = (self.target in ("coverage", "walls")) & (state.finished == 0)
+        is_judged = (self.target != NEVER) & (state.finished == 0)
         return is_judged & (state.gain.since >= self.give_up_after)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:

@@ -2,13 +2,18 @@
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxplore import _kinds
 from jaxplore._limits import MOST_ROBOTS
+from jaxplore._trees import with_field
 from jaxplore._types import Rows
-from jaxplore.simulation.exploration.finish import has_coverage_target
+from jaxplore.simulation.exploration.finish import NEVER, has_coverage_target
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+
+TARGET_COVERAGE = 0.99
+"""Target coverage of a fleet of explorations that have none."""
 
 
 def checked_members(
@@ -52,6 +57,17 @@ def checked_members(
     return members
 
 
+def with_coverage_target(one: ExplorationScenario) -> ExplorationScenario:
+    """Return an exploration that ends at a share of the reachable cells.
+
+    A fleet has one end: what a robot could still learn by its own map, another may know.
+    """
+    if bool(has_coverage_target(one.target_coverage)):
+        return one
+    ended = with_field(one, "target_coverage", jnp.asarray(TARGET_COVERAGE, jnp.float32))
+    return with_field(ended, "target", "coverage")
+
+
 def _check_supported(index: int, one: ExplorationScenario) -> None:
     """Raise a `ValueError` if a fleet does not support what an exploration has."""
     perception = one.perception
@@ -73,11 +89,9 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
                 f"{name} of robots[{index}] is given; accepted in a fleet: none, which explores "
                 "until a target coverage"
             )
-    if one.target == "walls":
-        raise ValueError(f"target of robots[{index}] is 'walls'; accepted in a fleet: 'coverage'")
-    if not bool(has_coverage_target(one.target_coverage)):
+    if one.target in ("walls", NEVER):
         raise ValueError(
-            f"target_coverage of robots[{index}] is None; accepted in a fleet: a number in (0, 1]"
+            f"target of robots[{index}] is {one.target!r}; accepted in a fleet: 'coverage'"
         )
 
 

@@ -24,12 +24,11 @@ from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.clock import whole_steps
-from jaxplore.simulation.exploration.finish import has_coverage_target
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
-from jaxplore.simulation.fleet.checks import checked_members, identities
+from jaxplore.simulation.fleet.checks import checked_members, identities, with_coverage_target
 from jaxplore.simulation.fleet.contact import parted
 from jaxplore.simulation.fleet.motion import moves
 from jaxplore.simulation.fleet.radio import Radio
@@ -70,8 +69,8 @@ class Fleet(Scenario):
 
     Args:
         robots: exploration of each robot, in one world; or that of one robot, for a fleet of equal
-            ones. They have a target coverage, and no goal, targets, idleness map, anomalies,
-            detector, chassis or guard.
+            ones. Without a target coverage they have 0.99. They have no goal, targets, idleness
+            map, anomalies, detector, chassis or guard.
         starts: (N, 3) start pose (x, y, yaw) of each robot [m, m, rad], at rest; those of the
             explorations when absent.
         radio: who hears whom; `Radio()` when absent.
@@ -116,7 +115,7 @@ class Fleet(Scenario):
     ) -> None:
         _kinds.instance("radio", radio, Radio, may_be_none=True)
         members = checked_members(robots, starts)
-        self.explorations = Alike(members)
+        self.explorations = Alike(members).map(with_coverage_target)
         if len(members) > 1:
             # The others tell where they are, so there is nothing to be found in scans.
             told = self.explorations.map(ExplorationScenario.with_told_obstacles)
@@ -307,9 +306,7 @@ class Fleet(Scenario):
 
     def is_given_up(self, state: FleetState) -> Flag:
         """Check whether the coverage has not risen for long, see `ExplorationScenario`."""
-        first = self.members[0]
-        is_judged = has_coverage_target(first.target_coverage) & (state.finished == 0)
-        return is_judged & (state.gain.since >= first.give_up_after)
+        return (state.finished == 0) & (state.gain.since >= self.members[0].give_up_after)
 
     def progress(self, state: FleetState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
