@@ -226,10 +226,14 @@ class ScanMatcher(eqx.Module):
         which of them count, their weights, and the weighted mean of the squares, at least that of
         `LEAST_STD`."""
         points = placed(pose, ends.points)
-        away, slope, is_known = jax.vmap(surface.at, (0, None))(points, way)
-        # The map's own slope along a wall is noise, which would count as information.
         own = placed(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
+        # In the middle of the band: on the surface, points before it are known further than points
+        # behind it. Their mean would pull the pose ahead in clutter, at every scan.
+        shift = 0.5 * (surface.band - surface.depth)
+        away, slope, is_known = jax.vmap(surface.at, (0, None))(points + shift * own, way)
+        # The map's own slope along a wall is noise, which would count as information.
         slope = jnp.where(ends.is_flat[:, None], own, slope)
+        away = away - shift * (slope * own).sum(axis=1)
         is_used = ends.is_point & is_known
         weight = jnp.where(is_used, (1.0 + (away / self.sigma) ** 2) ** -2, 0.0)
         variance = jnp.sum(weight * away**2) / jnp.maximum(weight.sum(), 1.0)

@@ -223,6 +223,11 @@ class SurfaceMap(eqx.Module):
         """Greatest distance that the map holds [m]."""
         return AHEAD * self.frame.resolution
 
+    @property
+    def depth(self) -> float:
+        """Greatest distance behind a surface that the map holds [m]."""
+        return BEHIND * self.frame.resolution
+
     def with_scan(self, pose: Pose, ends: EndPoints, way: Scalar) -> "SurfaceMap":
         """Return the map after a scan.
 
