@@ -48,6 +48,9 @@ MARGIN, SHARE, MOST_MARGIN = 5.0, 0.03, 20.0
 and the most that it grows to [m]: estimated poses may be elsewhere."""
 LEAST_STEP, LEAST_TURN = 0.2, 0.2
 """Way [m] and turn [rad] after which a scan is used."""
+LEAST_REACH, SEEN = 4.0, 0.75
+"""Least distance within which old places are looked for [m], and the quantile of the readings that
+it is otherwise: in halls two scans see the same walls from further apart than in corridors."""
 SCANS_PER_SEARCH = 32
 """Number of scans between two searches for closed loops."""
 SCANS_TO_FIT = 384
@@ -130,7 +133,8 @@ def map_log(
         max_range: range beyond which readings are not used [m].
         localiser: localiser; by default one for this odometry that stores a scan every 0.25 m. It
             must have room for all used scans.
-        closer: closes loops; with the default numbers when absent.
+        closer: closes loops; when absent, with the default numbers but for the reach, which is the
+            upper quartile of the readings if that is more than 4 m.
         on_progress: called with the number of scans and of closed loops so far; first with 0, after
             all checks.
 
@@ -177,7 +181,7 @@ def map_log(
         raise ValueError(
             f"localiser has room for {localiser.capacity} scans; accepted: at least {len(used)}"
         )
-    closer = LoopCloser() if closer is None else closer
+    closer = LoopCloser(_find_reach(log, max_range)) if closer is None else closer
     on_progress(0, 0)
     drive = _Drive(
         (sensor,),
@@ -230,6 +234,12 @@ def map_log(
 def _part_of(log: LaserLog, used: NDArray[np.int64]) -> LaserLog:
     arrays = {name: getattr(log, name)[used] for name in ("times", "ranges", "poses", "odometry")}
     return log._replace(**arrays)
+
+
+def _find_reach(log: LaserLog, max_range: float) -> float:
+    """Return how far apart two scans may be that see the same walls [m]."""
+    seen = log.ranges[(log.ranges > 0.0) & (log.ranges < max_range)]
+    return max(LEAST_REACH, float(np.quantile(seen, SEEN))) if len(seen) else LEAST_REACH
 
 
 def _thin_scans(poses: _Floats) -> NDArray[np.int64]:
