@@ -74,6 +74,10 @@ class ScanMatcher(eqx.Module):
     with more scans, from cells and corners: 2 % of a cell, the same within each of 16 sectors, for
     which S_g is the sum of the w_i J_i.
 
+    d is read half-way between the ends of the band of the map, along the normal n of the end point:
+    d(T(p) x) is taken as d(T(p) x + a n) - a n . grad d. So points before a surface and behind it
+    are known equally far.
+
     Where the end point is on a line, its normal takes the place of the gradient of d. Directions in
     which the sum is no more than what errors of normals would add, such as along a corridor, are
     left out of it, and of the steps.
