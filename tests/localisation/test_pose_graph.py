@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from jaxplore.geometry.motion import compose, moved_covariance
 from jaxplore.localisation import Graph, optimised
-from jaxplore.localisation.pose_graph import HUBER, motion_covariances
+from jaxplore.localisation.pose_graph import HUBER, expected_error, motion_covariances
 
 pytest.importorskip("gtsam")
 NOTHING = (np.zeros((0, 2), int), np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -55,6 +55,42 @@ def test_the_error_of_a_loop_is_spread_along_the_chain() -> None:
     assert found.error == pytest.approx(0.5 * (0.1**2 + 0.2**2) / 11 / 0.04, rel=1e-3)
     # Ten measurements beside one: the variance is that of ten, in parallel with one.
     assert found.covariance[0, 0] == pytest.approx(0.04 * 10 / 11, rel=1e-3)
+
+
+def aligned_error(poses: np.ndarray, true: np.ndarray) -> float:
+    """Return the root mean square error of positions after the best rigid alignment (Umeyama)."""
+    one, other = (each[:, :2] - each[:, :2].mean(axis=0) for each in (poses, true))
+    left, _, right = np.linalg.svd(one.T @ other)
+    turn = left @ np.diag([1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    return float(np.sqrt(((one @ turn - other) ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_the_expected_error_is_that_of_drawn_motions(is_closed: bool) -> None:
+    """Around a square, whose last pose is seen from the first one or not."""
+    rng = np.random.default_rng(4)
+    motions = np.tile([1.0, 0.0, 0.0], (28, 1))
+    motions[6::7, 2] = math.pi / 2
+    true = chain(motions)
+    root = np.array([[0.03, 0.0, 0.0], [0.005, 0.02, 0.0], [0.002, 0.001, 0.01]])
+    covariance = root @ root.T
+    loop = between_by_hand(true[0], true[-1])
+    given = np.tile(covariance, (28, 1, 1))
+    pairs = (np.array([[0, 28]]), loop[None], 0.01 * covariance[None])
+    graph = Graph(true, motions, given, *(pairs if is_closed else NOTHING))
+    squared = []
+    for _ in range(200):
+        # The covariance of a motion is in the frame of its start.
+        drawn = motions + rng.normal(size=(28, 3)) @ root.T
+        poses = chain(drawn)
+        if is_closed:
+            seen = loop + 0.1 * root @ rng.normal(size=3)
+            measured = Graph(poses, drawn, given, pairs[0], seen[None], pairs[2])
+            poses = optimised(measured).poses
+        squared.append(aligned_error(poses, true) ** 2)
+    expected = expected_error(graph)
+    assert expected == pytest.approx(math.sqrt(np.mean(squared)), rel=0.1)
+    assert expected_error(Graph(true[:1], motions[:0], given[:0], *NOTHING)) == 0.0
 
 
 def logarithm(motion: np.ndarray) -> np.ndarray:

@@ -185,7 +185,7 @@ class LoopCloser(eqx.Module):
             newer: index of the scan that was matched to its place.
             found: the match.
         """
-        expected = motion_covariances(_graph(state), [older], newer)[0]
+        expected = motion_covariances(pose_graph(state), [older], newer)[0]
         expected = expected + np.asarray(found.covariance, float)
         expected[:2, :2] += float(self.tolerance) ** 2 * np.eye(2)
         # In NumPy: JAX would compile the indexing anew for every pair of scans.
@@ -211,7 +211,7 @@ class LoopCloser(eqx.Module):
         wanted = np.asarray(closures.motions)[:loops]
         if _greatest_error(poses, pairs, wanted) <= float(self.tolerance):
             return None
-        best = optimised(_graph(state))
+        best = optimised(pose_graph(state))
         moved = np.asarray(scans.poses).copy()
         moved[:number] = best.poses
         if np.abs(best.poses[:, :2] - poses[:, :2]).max() <= 0.5 * float(self.tolerance):
@@ -247,12 +247,12 @@ class LoopCloser(eqx.Module):
             is_old = way[-1] - way > float(localiser.memory)
             places = np.flatnonzero(is_old & (away <= 2.0 * float(self.reach)))
             places = places[:: 1 + len(places) // MOST_PLACES]
-            found = motion_covariances(_graph(state), places.tolist(), number - 1)
+            found = motion_covariances(pose_graph(state), places.tolist(), number - 1)
             spreads[places] = np.sqrt(0.5 * np.trace(found[:, :2, :2], axis1=1, axis2=2))
         return jnp.asarray(spreads)
 
 
-def _graph(state: LocaliserState) -> Graph:
+def pose_graph(state: LocaliserState) -> Graph:
     """Return the pose graph of the stored scans and the closed loops."""
     scans, closures = state.scans, state.closures
     number, loops = int(scans.number), int(closures.number)

@@ -19,7 +19,7 @@ from jaxplore._optional import import_optional
 from jaxplore._types import Count, Key
 from jaxplore.geometry.motion import between, compose
 from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
-from jaxplore.localisation.closing import LoopCloser
+from jaxplore.localisation.closing import LoopCloser, pose_graph
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.log_drawing import (
     WHOLE,
@@ -37,6 +37,7 @@ from jaxplore.localisation.log_odometry import (
 from jaxplore.localisation.log_trust import Trust, judge_poses
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import OdometryModel
+from jaxplore.localisation.pose_graph import expected_error
 from jaxplore.localisation.scan_matching import ScanMatcher
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -227,7 +228,7 @@ def map_log(
         None if true is None else draw_map(sensor, scans, true[used], resolution),
         at,
         model,
-        judge_poses(_part_of(log, used), found, max_range),
+        judge_poses(_part_of(log, used), found, max_range, expected_error(pose_graph(state))),
     )
 
 

@@ -11,6 +11,9 @@ from jaxplore._optional import import_optional
 HUBER = 1.345
 """Residual of a closed loop in standard deviations beyond which its influence no longer grows."""
 
+MOST_NODES = 40
+"""Greatest number of nodes whose joint covariance is computed, evenly spread over the way."""
+
 
 class Graph(NamedTuple):
     """A pose graph. Node 0 is fixed.
@@ -127,6 +130,44 @@ def motion_covariances(graph: Graph, nodes: Sequence[int], end: int) -> np.ndarr
         turn = _rotation(motion.theta())
         covariances.append(turn @ covariance @ turn.T)
     return np.array(covariances)
+
+
+def expected_error(graph: Graph) -> float:
+    """Return the error of the positions that is to be expected after a rigid alignment [m].
+
+    It is the root mean square over the nodes, at most `MOST_NODES` of them, by the joint covariance
+    S of their positions at the poses of the graph:
+
+        sqrt(trace((1 - P) S) / M),   P = A (A' A)^-1 A'
+
+    The columns of A are the displacements of all M positions by a translation and by a turn.
+
+    Args:
+        graph: the graph.
+
+    Raises:
+        ValueError: something else than a graph; GTSAM is not installed.
+    """
+    _kinds.instance("graph", graph, Graph)
+    nodes = np.unique(np.linspace(0, len(graph.poses) - 1, MOST_NODES).round().astype(int))
+    if len(nodes) < 2:
+        return 0.0
+    library: Any = import_optional("gtsam", "slam")
+    factors, values = _problem(library, graph, library.noiseModel.Isotropic.Sigma(3, 0.01))
+    joint = library.Marginals(factors, values).jointMarginalCovariance(nodes.tolist())
+    turns = [_rotation(graph.poses[node, 2])[:2, :2] for node in nodes]
+    covariance = np.block(
+        [
+            [one @ joint.at(i, j)[:2, :2] @ other.T for j, other in zip(nodes, turns, strict=True)]
+            for i, one in zip(nodes, turns, strict=True)
+        ]
+    )
+    x, y = (graph.poses[nodes, :2] - graph.poses[nodes, :2].mean(axis=0)).T
+    moves = np.zeros((2 * len(nodes), 3))
+    moves[::2, 0], moves[1::2, 1] = 1.0, 1.0
+    moves[::2, 2], moves[1::2, 2] = -y, x
+    rigid = moves @ np.linalg.pinv(moves)
+    return float(np.sqrt(max(np.trace(covariance - rigid @ covariance), 0.0) / len(nodes)))
 
 
 def _problem(library: Any, graph: Graph, noise_of_first: Any) -> tuple[Any, Any]:
