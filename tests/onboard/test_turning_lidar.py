@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.onboard.conftest import LIDAR, rooms
 
 from jaxplore import Lidar
 from jaxplore.onboard.scan_points import TakenScan
 from jaxplore.ros import messages
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.lidar_errors import LidarErrors
-from tests.onboard.conftest import LIDAR, rooms
 
 pytestmark = pytest.mark.long
 
