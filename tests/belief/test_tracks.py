@@ -209,7 +209,8 @@ def test_a_lone_return_is_nobody_and_two_neighbours_are_somebody() -> None:
         for beam, away in ranges.items():
             points[beam] += away * np.array([np.cos(angles[beam]), np.sin(angles[beam])])
             is_point[beam] = True
-        speeds = TRACKER.possible_speeds(TRACKER.init(FORMER), FORMER, points, is_point)
+        given = jnp.asarray(points), jnp.asarray(is_point)
+        speeds = TRACKER.possible_speeds(TRACKER.init(FORMER), FORMER, *given)
         assert int((speeds > 0.0).sum()) == number
         assert float(speeds.max()) in (0.0, float(TRACKER.max_speed))
 

@@ -80,7 +80,7 @@ def test_a_pilot_drives_by_a_turning_lidar_with_errors_beside_the_centre(
 ) -> None:
     pilot = make_pilot(latency=LATENCY, lidar_x=MOUNT[0], lidar_y=MOUNT[1])
     robot = make_robot(lidar=lidar_with(ERRORS), delay=0.04, mount=MOUNT, is_turning=True)
-    for _ in range(round(6.0 / robot.period)):
+    for _ in range(round(12.0 / robot.period)):
         now, measured = robot.time, robot.step()
         pilot.add_odometry(now, measured.pose, measured.twist)
         if measured.scan is not None:
