@@ -3,17 +3,20 @@
 `python -m benchmarks.people --map office --seeds 10`
 
 A contact counts against the robot if the robot moved in the control period in which it began, or in
-that before.
+that before. One compiled program serves all seeds and speeds of an architecture on a map.
 """
 
 import argparse
 import json
+import time
 from typing import Any
 
 import numpy as np
 
 from benchmarks.setting import available_maps
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.settings.exploration import GROUND
+from jaxplore.simulation.loop import run_chunk
 from jaxplore.simulation.run import record_run
 
 SITES = {
@@ -22,12 +25,27 @@ SITES = {
     "nav2_depot": "nav2_depot/depot.yaml",
 }
 SPEEDS = (0.5, 1.0, 1.5, 2.0)
+LIDAR_ERRORS: dict[str, Any] = {
+    "least_range": 0.2,
+    "missing": 0.05,
+    "false_returns": 0.01,
+    "pitch_degrees": 4.0,
+    "roll_degrees": 2.0,
+    "height": 0.2,
+}
+"""Errors of a lidar near the floor, which it sees 2.9 m ahead."""
 STILL = 0.02
 """Speed below which the robot stands [m/s]."""
 
 
 def measure_contacts(
-    place: str, architecture: str, number: int, speed: float, seed: int, seconds: float
+    place: str,
+    architecture: str,
+    number: int,
+    speed: float,
+    seed: int,
+    seconds: float,
+    changes: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return a row of one run.
 
@@ -38,11 +56,15 @@ def measure_contacts(
         speed: their speed [m/s].
         seed: seed of the run and of the people's ways.
         seconds: simulated time [s].
+        changes: further settings, such as errors of the lidar.
     """
+    began = time.process_time()
     people = {"number": number, "speed": speed}
     entries = {"map": place, "architecture": architecture, "people": people, "seed": seed}
-    experiment = build(make_settings({**entries, "time_limit": seconds, "target_coverage": None}))
-    run = record_run(*experiment[:3], key=experiment.key)
+    limits = {"time_limit": seconds, "target_coverage": None}
+    experiment = build(make_settings({**entries, **limits, **(changes or {})}))
+    # Frames without plans: the controller is not compiled a second time.
+    run = record_run(*experiment[:3], key=experiment.key, num_trajectories=0)
     records: Any = run.records
     period = experiment.scenario.period
     states = np.asarray(records.state)
@@ -58,8 +80,11 @@ def measure_contacts(
         "metres": float(moved.sum() * period),
         "contacts": len(begins),
         "contacts_moving": sum(is_moving),
+        "moving_at": [round(float(at * period), 2) for at in begins[np.array(is_moving, bool)]],
         "standing": float((moved < STILL).mean()),
         "coverage": float(np.asarray(records.coverage)[-1]),
+        "cpu": round(time.process_time() - began, 1),
+        "programs": run_chunk._cached._cache_size(),
     }
 
 
@@ -67,18 +92,21 @@ def main() -> None:
     """Measure, and print a line for each run and for each speed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--map", default="office", choices=sorted(SITES))
-    parser.add_argument("--architectures", nargs="+", default=["explorer"])
+    parser.add_argument("--architectures", nargs="+", choices=GROUND, default=["explorer"])
     parser.add_argument("--speeds", nargs="+", type=float, default=SPEEDS)
     parser.add_argument("--people", type=int, default=8)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=80.0)
+    parser.add_argument("--lidar-errors", action="store_true", help="with `LIDAR_ERRORS`")
     given = parser.parse_args()
+    changes = {"lidar": LIDAR_ERRORS} if given.lidar_errors else {}
     place = given.map if given.map == "office" else available_maps(SITES)[given.map]
     for architecture in given.architectures:
         for speed in given.speeds:
             rows = []
-            for seed in range(given.seeds):
-                args = (architecture, given.people, speed, seed, given.seconds)
+            for seed in range(given.first_seed, given.first_seed + given.seeds):
+                args = (architecture, given.people, speed, seed, given.seconds, changes)
                 rows.append(measure_contacts(place, *args))
                 print(json.dumps(rows[-1]), flush=True)
             metres = sum(row["metres"] for row in rows)

@@ -201,6 +201,20 @@ def test_who_comes_from_unknown_space_does_not_take_his_cells_along() -> None:
     assert not is_moving.any()
 
 
+def test_a_lone_return_is_nobody_and_two_neighbours_are_somebody() -> None:
+    angles = SENSOR.beam_angles.astype(np.float64)
+    for ranges, number in (({40: 2.0}, 0), ({40: 2.0, 41: 2.02}, 2), ({40: 2.0, 41: 3.0}, 0)):
+        points = np.tile(POSE[:2], (SENSOR.num_beams, 1)).astype(np.float32)
+        is_point = np.zeros(SENSOR.num_beams, bool)
+        for beam, away in ranges.items():
+            points[beam] += away * np.array([np.cos(angles[beam]), np.sin(angles[beam])])
+            is_point[beam] = True
+        given = jnp.asarray(points), jnp.asarray(is_point)
+        speeds = TRACKER.possible_speeds(TRACKER.init(FORMER), FORMER, *given)
+        assert int((speeds > 0.0).sum()) == number
+        assert float(speeds.max()) in (0.0, float(TRACKER.max_speed))
+
+
 def counted(objects, is_seen, tracks, identity, is_known, within):
     """Return misses, false positives and switches, with all matchings of a frame enumerated."""
     last, misses, false_positives, switches = {}, 0, 0, 0

@@ -33,19 +33,22 @@ def blank() -> OccupancyGrid:
     return OccupancyGrid(np.zeros((64, 80), np.float32), 0.1, (-1.6, -1.6, 0.0))
 
 
-def scenario_in(world: OccupancyGrid, start, robot=ROBOT, goal=None) -> ExplorationScenario:
-    perception = Perception(LIDAR, 0.1, 0.2, num_directions=16, margin=0.05, goal=goal)
+def scenario_in(
+    world: OccupancyGrid, start, robot=ROBOT, goal=None, lidar=LIDAR
+) -> ExplorationScenario:
+    perception = Perception(lidar, 0.1, 0.2, num_directions=16, margin=0.05, goal=goal)
     return ExplorationScenario(
-        world, robot, LIDAR, start, perception=perception, goal=goal, target_coverage=0.97
+        world, robot, lidar, start, perception=perception, goal=goal, target_coverage=0.97
     )
 
 
 @pytest.fixture(scope="session")
 def make_robot():
-    """Return a maker of simulated robots, all of one compiled program."""
+    """Return a maker of simulated robots, all of one compiled program with the same lidar."""
 
-    def make(start=(1.0, 1.0, 0.3), **options) -> SimulatedRobot:
-        return SimulatedRobot(scenario_in(rooms(), start), jax.random.key(2), **options)
+    def make(start=(1.0, 1.0, 0.3), lidar=LIDAR, **options) -> SimulatedRobot:
+        scenario = scenario_in(rooms(), start, lidar=lidar)
+        return SimulatedRobot(scenario, jax.random.key(2), **options)
 
     return make
 

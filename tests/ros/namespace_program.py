@@ -50,7 +50,8 @@ def simulated():
     scenario = SimpleNamespace(sensors=(LIDAR,), steps_per_scan=1, datum=ORIGIN)
     grid = OccupancyGrid(np.full((2, 3), 0.5), 0.1)
     state = SimpleNamespace(belief=SimpleNamespace(grid=grid))
-    return SimpleNamespace(scenario=scenario, period=0.1, state=state)
+    robot = {"mount": np.zeros(3), "is_turning": False}
+    return SimpleNamespace(scenario=scenario, period=0.1, state=state, **robot)
 
 
 def measured(number: int) -> RobotMeasurement:

@@ -56,7 +56,7 @@ class FakeLink:
 
 def robot_node(link, *, has_map):
     scenario = SimpleNamespace(sensors=(Lidar(num_beams=4, max_range=5.0),), steps_per_scan=1)
-    robot = SimpleNamespace(scenario=scenario, period=0.1)
+    robot = SimpleNamespace(scenario=scenario, period=0.1, mount=np.zeros(3))
     return RobotNode(link, robot, command_type="twist", has_map=has_map)
 
 

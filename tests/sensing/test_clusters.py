@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.sensing.clusters import SKIPPED, cluster_points, hiding_edges
+from jaxplore.sensing.clusters import SKIPPED, cluster_points, has_neighbour, hiding_edges
 
 BEAMS, GAP, WIDTH = 24, 0.3, 0.6
 ANGLES = 2 * np.pi * np.arange(BEAMS) / BEAMS
@@ -86,3 +86,27 @@ def test_a_cluster_behind_something_is_cut() -> None:
         found = compiled(True)[0](points, each, is_point, jnp.float32(GAP))
         assert int(found.num_points[0]) == 3
         assert bool(found.is_cut[0]) is is_cut
+
+
+@jax.jit
+def beside(points, is_point):
+    return has_neighbour(points, is_point, jnp.float32(GAP))
+
+
+@given(seed=st.integers(0, 2**31), share=st.sampled_from([0.02, 0.2, 0.7]))
+def test_neighbours_are_those_of_a_loop(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    # A fortieth of 120 directions are three.
+    size, within = 120, 3
+    angles = 2 * np.pi * np.arange(size) / size
+    ranges = np.repeat(rng.uniform(0.3, 3.0, size), 5)[:size] + rng.normal(0.0, 0.02, size)
+    points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], 1).astype(np.float32)
+    is_point = rng.random(size) < share
+    expected = np.zeros(size, bool)
+    for i in np.flatnonzero(is_point):
+        for j in (i + np.arange(1, within + 1)) % size:
+            if is_point[j]:
+                if np.linalg.norm(points[i] - points[j]) <= GAP:
+                    expected[[i, j]] = True
+                break
+    np.testing.assert_array_equal(beside(points, is_point), expected)

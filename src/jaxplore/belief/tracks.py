@@ -17,7 +17,13 @@ from jaxplore.geometry.outlines import Outlines
 from jaxplore.maps.field import ScalarField
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
-from jaxplore.sensing.clusters import Clusters, Edges, cluster_points, hiding_edges
+from jaxplore.sensing.clusters import (
+    Clusters,
+    Edges,
+    cluster_points,
+    has_neighbour,
+    hiding_edges,
+)
 
 EXPLAINED = 0.2
 """Distance from the nearest cell that is not known to be free up to which the map explains a
@@ -250,20 +256,24 @@ class ObstacleTracker(eqx.Module):
         points: Float[Array, "P 2"],
         is_point: Bool[Array, " P"],
     ) -> Float[Array, " P"]:
-        """Return the speeds (P,) with which points may move [m/s]: 0 of what the map explains.
+        """Return the speeds (P,) with which points may move [m/s]: 0 of what the map explains, and
+        of a point without a neighbour that the map does not explain either.
 
-        Others may have `max_speed`, or the speed of the fastest track if that is more.
+        Others may have `max_speed`, or the speed of the fastest track if that is more. A lone point
+        is a false return, such as of dust: the beams beside it meet somebody as well.
 
         Args:
             tracks: the tracks.
             clearance: distance to the nearest cell that is not known to be free, before the scan
                 of the points.
-            points: (P, 2) points [m].
+            points: (P, 2) points in the order of their directions [m].
             is_point: (P,) points that count.
         """
         seen = jnp.where(tracks.is_confirmed, tracks.speed, 0.0)
         fastest = jnp.maximum(self.max_speed, jnp.max(seen))
-        return jnp.where(is_point & is_unexplained(tracks, clearance, points), fastest, 0.0)
+        is_loose = is_point & is_unexplained(tracks, clearance, points)
+        is_somebody = has_neighbour(points, is_loose, 2.0 * self.radius)
+        return jnp.where(is_somebody, fastest, 0.0)
 
     def _predict(self, tracks: Tracks, elapsed: Scalar) -> Tracks:
         """Return the tracks after a time without a measurement."""

@@ -2,6 +2,7 @@
 
 import collections
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Key, Pose, Scalar, StateVector
 from jaxplore.control.base import Info
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.motion import compose
 from jaxplore.onboard.frames import EvenFrames
 from jaxplore.onboard.odometry import moved
 from jaxplore.onboard.steps import initial
@@ -41,12 +43,14 @@ class RobotMeasurement(NamedTuple):
         twist: (3,) velocity in the frame of the robot [m/s, m/s, rad/s].
         scan: scan of the lidar; None between scans.
         true_pose: (3,) true pose in the coordinates of the map, for what stands in for a SLAM.
+        scan_age: time since the first reading of the scan [s].
     """
 
     pose: np.ndarray
     twist: np.ndarray
     scan: Scan | None
     true_pose: np.ndarray
+    scan_age: float = 0.0
 
 
 class SimulatedRobot:
@@ -63,6 +67,10 @@ class SimulatedRobot:
         drift: standard deviation of the scale errors of the odometry's distances and turns, drawn
             once; 0 for a perfect odometry.
         watchdog: time without a command after which the robot brakes [s].
+        mount: pose (x, y, yaw) of the lidar on the robot [m, m, rad].
+        is_turning: whether the lidar turns once between two scans. Each beam is then measured from
+            where the lidar is when it points there, to within half a control period, and a scan is
+            there when its last beam is.
 
     Attributes:
         num_contacts: number of periods in which something solid stopped the robot.
@@ -81,6 +89,8 @@ class SimulatedRobot:
         delay: float = 0.0,
         drift: float = 0.0,
         watchdog: float = 0.25,
+        mount: Sequence[float] = (0.0, 0.0, 0.0),
+        is_turning: bool = False,
     ) -> None:
         _kinds.instance("scenario", scenario, ExplorationScenario)
         _kinds.key("key", key)
@@ -89,6 +99,9 @@ class SimulatedRobot:
         periods = round(_checks.number("delay", delay, at_least=0.0) / self.period)
         self._pending = collections.deque([np.zeros(3)] * periods)
         self._watchdog = _checks.number("watchdog", watchdog, above=0.0)
+        self.mount = _checks.pose("mount", mount)
+        self.is_turning = _kinds.flag("is_turning", is_turning)
+        self._turn: list[Scan] = []
         scale = _checks.number("drift", drift, at_least=0.0)
         errors = jax.random.normal(jax.random.fold_in(key, DRIFT_KEY), (2,))
         distance, turn = (1.0 + scale * np.asarray(errors, np.float64)).tolist()
@@ -128,10 +141,11 @@ class SimulatedRobot:
     def prepare(self) -> None:
         """Compile everything that a step calls."""
         moment = self._moment()
-        measured = _measure(self.scenario, self.state, moment, self._key)
+        measured = _measure(self.scenario, self.state, moment, self._key, self.mount)
+        looked = _scan(self.scenario, self.state, moment, self._key, self.mount)
         moved = _advance(self.scenario, self.state, moment, jnp.zeros(3))
         shown = _frame(self.scenario, self.state, moment, self._key)
-        jax.block_until_ready((measured, moved, shown))  # type: ignore[no-untyped-call]
+        jax.block_until_ready((measured, looked, moved, shown))  # type: ignore[no-untyped-call]
 
     def set_velocity(self, twist: np.ndarray) -> None:
         """Take a command; one that is not finite counts as none.
@@ -147,11 +161,16 @@ class SimulatedRobot:
         """Measure, then advance by a control period; return what was measured at its start."""
         scenario = self.scenario
         measure_key, _ = step_keys(self._key, jnp.asarray(self.num_steps, jnp.int32))
-        scan = None
-        if self.num_steps % int(scenario.steps_per_scan) == 0:
-            self.state, scan = _measure(scenario, self.state, self._moment(), measure_key)
+        scan, age, number = None, 0.0, int(scenario.steps_per_scan)
+        given = (scenario, self.state, self._moment(), measure_key, self.mount)
+        if self.is_turning:
+            self._turn.append(_scan(*given))
+        if self.num_steps % number == 0:
+            self.state, scan = _measure(*given)
+            if self.is_turning:
+                scan, age = self._end_turn(number), number * self.period
         place = np.array(scenario.datum.to_map(self._pose))
-        measured = RobotMeasurement(self._odometry.copy(), self._twist.copy(), scan, place)
+        measured = RobotMeasurement(self._odometry.copy(), self._twist.copy(), scan, place, age)
         is_late = self.time - self._commanded_at > self._watchdog
         if is_late and self._commanded.any():
             self._commanded = np.zeros(3)
@@ -200,6 +219,21 @@ class SimulatedRobot:
         arrays = _frame(self.scenario, self.state, self._moment(), self._key)
         return self.scenario.make_frame(self.num_steps, arrays)
 
+    def _end_turn(self, number: int) -> Scan | None:
+        """Return the scan of a turn that ends, each beam from the period nearest to its time; None
+        before the first turn. A new one begins.
+
+        Args:
+            number: control periods of a turn.
+        """
+        scans, self._turn = self._turn, self._turn[-1:]
+        if len(scans) <= number:
+            return None
+        beams = np.arange(len(scans[0].ranges))
+        period = np.rint(beams * number / len(beams)).astype(int)
+        ranges, is_return = (np.stack(each)[period, beams] for each in zip(*scans, strict=True))
+        return Scan(ranges, is_return)
+
     def _moment(self) -> Moment:
         time = jnp.asarray(self.time, jnp.float32)
         off = jnp.array(False)
@@ -217,12 +251,21 @@ class SimulatedRobot:
 
 
 @eqx.filter_jit
+def _scan(
+    scenario: ExplorationScenario, state: ExplorationState, moment: Moment, key: Key, mount: Pose
+) -> Scan:
+    """Scan the true world from the true pose of the lidar."""
+    pose = compose(scenario.robot.pose(state.robot), mount)
+    return scenario.true_world(state, moment).scans(scenario.sensors[:1], pose, key)[0]
+
+
+@eqx.filter_jit
 def _measure(
-    scenario: ExplorationScenario, state: ExplorationState, moment: Moment, key: Key
+    scenario: ExplorationScenario, state: ExplorationState, moment: Moment, key: Key, mount: Pose
 ) -> tuple[ExplorationState, Scan]:
-    """Scan the true world, and map the scan at the true pose."""
+    """Scan the true world, and map the scan at the true pose of the lidar."""
     truth = scenario.true_world(state, moment)
-    pose = scenario.robot.pose(state.robot)
+    pose = compose(scenario.robot.pose(state.robot), mount)
     scans = truth.scans(scenario.sensors, pose, key)
     since = scenario.control_period * scenario.steps_per_scan.astype(jnp.float32)
     perception, reachable = scenario.perception, scenario.map_arrays.reachable

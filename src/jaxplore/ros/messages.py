@@ -264,7 +264,14 @@ def laser_scan_of(
 
 
 def fill_laser_scan(
-    message: Any, scan: Scan, sensor: Beams, seconds: float, frame: str, *, period: float
+    message: Any,
+    scan: Scan,
+    sensor: Beams,
+    seconds: float,
+    frame: str,
+    *,
+    period: float,
+    pause: float = 0.0,
 ) -> None:
     """Fill a `sensor_msgs/LaserScan` with a scan; beams that met nothing are infinite, and those
     without a measurement NaN (REP 117).
@@ -276,12 +283,13 @@ def fill_laser_scan(
         seconds: time of the scan [s].
         frame: name of the frame of the lidar.
         period: time between two scans [s].
+        pause: time between two readings [s]; 0 for readings of one time.
     """
     fill_header(message.header, seconds, frame)
     angles = sensor.beam_angles.astype(np.float64)
     message.angle_min, message.angle_max = float(angles[0]), float(angles[-1])
     message.angle_increment = float(sensor.beam_spacing)
-    message.time_increment, message.scan_time = 0.0, float(period)
+    message.time_increment, message.scan_time = float(pause), float(period)
     message.range_min, message.range_max = 0.0, float(sensor.max_range)
     given = np.asarray(scan.ranges)
     # A range of 0 is no measurement; another one without a return met nothing.

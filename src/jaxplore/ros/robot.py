@@ -60,7 +60,8 @@ class RobotNode:
         if ros.TFMessage is not None:
             self._transforms = link.publisher(ros.TFMessage, "/tf")
             mounts = link.publisher(ros.TFMessage, "/tf_static", is_kept=True)
-            mounts.publish(self._transform(link.now(), (ROBOT_FRAME, LIDAR_FRAME, np.zeros(3))))
+            mount = np.asarray(robot.mount, np.float64)
+            mounts.publish(self._transform(link.now(), (ROBOT_FRAME, LIDAR_FRAME, mount)))
         self._command_type = command_type
         if command_type == "twist":
             link.subscribe(ros.Twist, COMMAND_TOPIC, self._take)
@@ -166,10 +167,10 @@ class RobotNode:
                 frames.append((MAP_FRAME, WORLD_FRAME, drift))
             self._transforms.publish(self._transform(now, *frames))
         if measured.scan is not None:
-            scan = ros.LaserScan()
-            messages.fill_laser_scan(
-                scan, measured.scan, self._sensor, now, frame(LIDAR_FRAME), period=self._scan_period
-            )
+            scan, period = ros.LaserScan(), self._scan_period
+            pause = period / self._sensor.num_beams if self.robot.is_turning else 0.0
+            taken = measured.scan, self._sensor, now - measured.scan_age, frame(LIDAR_FRAME)
+            messages.fill_laser_scan(scan, *taken, period=period, pause=pause)
             self._scan.publish(scan)
 
     def _warn_of_types(self) -> None:

@@ -11,6 +11,10 @@ from jaxplore._types import Flag, Scalar
 SKIPPED = 3
 """A cluster goes on over up to two beams without a point: a beam may return nothing."""
 
+FORTIETH = 40
+"""Part of a circle within which points are neighbours, 9 degrees: a point has the same neighbours
+among the beams of a lidar as among finer directions, of which most are empty."""
+
 
 class Clusters(NamedTuple):
     """Clusters of points, in the order of the beams; those beyond the K-th are left out.
@@ -51,11 +55,7 @@ def cluster_points(
     """
     size = points.shape[0]
     index = jnp.arange(size, dtype=jnp.int32)
-    # The point before each: a running maximum over two rounds, of which the first one counts
-    # backwards from the first beam.
-    marks = jnp.concatenate([jnp.where(is_point, index - size, -2 * size)] * 2)
-    marks = marks.at[size:].add(jnp.where(is_point, size, 0))
-    former = jnp.roll(jax.lax.cummax(marks), 1)[size:]
+    former = _find_former(is_point)
     before = former % size
     near = jnp.linalg.norm(points - points[before], axis=-1) <= gap
     is_joined = is_point & near & (index - former <= SKIPPED) & (former > -size)
@@ -83,6 +83,36 @@ def cluster_points(
         is_cut & (count > 0),
         jnp.zeros(size, jnp.int32).at[order].set(label),
     )
+
+
+def has_neighbour(
+    points: Float[Array, "P 2"], is_point: Bool[Array, " P"], gap: Scalar
+) -> Bool[Array, " P"]:
+    """Check which points (P,) of a circle have a neighbour: the one before or after, if it is at
+    most `gap` and a fortieth of the circle away.
+
+    Args:
+        points: (P, 2) points in the order of their directions [m].
+        is_point: (P,) points that count.
+        gap: greatest distance of neighbours [m].
+    """
+    size = points.shape[0]
+    former = _find_former(is_point)
+    before = former % size
+    is_near = jnp.linalg.norm(points - points[before], axis=-1) <= gap
+    behind = jnp.arange(size, dtype=jnp.int32) - former
+    is_joined = is_point & is_near & (behind <= max(1, size // FORTIETH)) & (former > -size)
+    return is_joined.at[jnp.where(is_joined, before, size)].set(True, mode="drop")
+
+
+def _find_former(is_point: Bool[Array, " P"]) -> Int[Array, " P"]:
+    """Return the index (P,) of the point before each, less P if it is in the round before."""
+    size = is_point.shape[0]
+    index = jnp.arange(size, dtype=jnp.int32)
+    # A running maximum over two rounds, of which the first one counts backwards from the first.
+    marks = jnp.concatenate([jnp.where(is_point, index - size, -2 * size)] * 2)
+    marks = marks.at[size:].add(jnp.where(is_point, size, 0))
+    return jnp.roll(jax.lax.cummax(marks), 1)[size:]
 
 
 def _is_behind(
