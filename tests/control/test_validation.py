@@ -198,3 +198,73 @@ def test_what_walks_into_a_robot_that_stands_stops_nothing() -> None:
     assert bool(starts.is_replaced[0])
     assert not bool(starts.is_replaced[-1])
     np.testing.assert_allclose(np.asarray(starts.control)[np.asarray(starts.is_replaced)], 0.0)
+
+
+@eqx.filter_jit
+def beside_walls(check, robot, states, controls, points, is_somebody, is_wall):
+    def one(state, control, point, is_it, is_wall):
+        speeds = jnp.where(is_it, 1.6, 0.0)
+        with_walls = check(robot, state, control, PERIOD, point, is_it, speeds, PERIOD, is_wall)
+        turns = jnp.linspace(-1.0, 1.0, 9)
+        return with_walls, jax.vmap(lambda turn: robot.stopping_control(state, PERIOD, turn))(turns)
+
+    return jax.vmap(one)(states, controls, points, is_somebody, is_wall)
+
+
+@eqx.filter_jit
+def braked(robot, states):
+    """Return the poses (N, 9, T, 3) of the nine ways to brake."""
+
+    def way(state, turn):
+        def step(at, _):
+            after = robot.step(
+                at, robot.stopping_control(at, jnp.float32(0.05), turn), jnp.float32(0.05)
+            )
+            return after, robot.pose(after)
+
+        return jax.lax.scan(step, state, length=50)[1]
+
+    turns = jnp.linspace(-1.0, 1.0, 9)
+    return jax.vmap(lambda state: jax.vmap(lambda turn: way(state, turn))(turns))(states)
+
+
+def test_nobody_who_walks_makes_a_robot_brake_into_a_wall() -> None:
+    # A pillar ahead to the left of a robot at speed, and somebody ahead to its right.
+    rng = np.random.default_rng(3)
+    states = np.zeros((NUM, 5), np.float32)
+    states[:, 3:] = rng.uniform([0.6, -0.5], [1.0, 0.5], (NUM, 2))
+    controls = np.zeros((NUM, 2), np.float32)
+    points = np.zeros((NUM, 12, 2), np.float32)
+    points[:, :, 0] = rng.uniform(0.4, 0.7, NUM)[:, None]
+    points[:, :, 1] = rng.uniform(0.1, 0.3, NUM)[:, None] + np.linspace(0.0, 0.3, 12)
+    points[:, 0] = rng.uniform([0.5, -0.9], [1.2, -0.2], (NUM, 2))
+    is_somebody = np.zeros((NUM, 12), bool)
+    is_somebody[:, 0] = True
+    is_wall = ~is_somebody
+    found, options = beside_walls(CHECK, ROBOT, states, controls, points, is_somebody, is_wall)
+    poses = np.asarray(braked(ROBOT, states), float)
+    away = np.linalg.norm(poses[..., None, :2] - points[:, None, None].astype(float), axis=-1) - 0.2
+    rooms = np.where(is_wall[:, None, None], away, np.inf).min(axis=(2, 3))
+    chosen = (
+        np.abs(np.asarray(options) - np.asarray(found.control)[:, None]).max(axis=-1).argmin(axis=1)
+    )
+    is_replaced = np.asarray(found.is_replaced)
+    assert is_replaced.sum() > 10
+    can_avoid = rooms.max(axis=1) >= 0.05
+    room = rooms[np.arange(NUM), chosen]
+    assert (room[is_replaced & can_avoid] >= 0.05 - 1e-4).all()
+    # Among the cases are some in which the way that is best for the walker alone ends in a wall.
+    alone = growing(
+        CHECK,
+        ROBOT,
+        states,
+        controls,
+        points,
+        is_somebody,
+        np.where(is_somebody, 1.6, 0.0),
+        np.float32(0.1),
+    )
+    other = (
+        np.abs(np.asarray(options) - np.asarray(alone.control)[:, None]).max(axis=-1).argmin(axis=1)
+    )
+    assert (rooms[np.arange(NUM), other][is_replaced & can_avoid] < 0.0).any()

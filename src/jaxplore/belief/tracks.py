@@ -421,8 +421,9 @@ def is_unexplained(
         points: (P, 2) points [m].
     """
     room = jax.vmap(clearance)(points)
-    if tracks.former is not None:
-        former = dataclasses.replace(clearance, values=tracks.former[0])
+    for values in () if tracks.former is None else tracks.former:
+        # The newer map tells of who was first seen in unknown space, and has come nearer since.
+        former = dataclasses.replace(clearance, values=values)
         room = jnp.maximum(room, jax.vmap(former)(points))
     return room > EXPLAINED
 

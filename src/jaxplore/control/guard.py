@@ -282,7 +282,8 @@ class MotionGuard(eqx.Module):
         number = self.delay(state, jnp.zeros((), jnp.int32)).astype(jnp.float32)
         age = time - scan.time + number * period
         is_point = scan.is_point & (scan.speeds > 0.0)
-        args = (robot, start, control, period, scan.points, is_point, scan.speeds, age)
+        is_wall = scan.is_point & ~is_point
+        args = (robot, start, control, period, scan.points, is_point, scan.speeds, age, is_wall)
         # As for braking: a loop of one iteration or none.
         is_needed = is_point.any() & jnp.isfinite(control).all()
         kept: ControlVector = jax.lax.fori_loop(

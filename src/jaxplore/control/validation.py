@@ -16,6 +16,8 @@ AT_REST = 1e-4
 """Greatest change of the pose of a robot at rest within a step [m, rad]."""
 FAR = 1e3
 """Distance to which points are moved that do not count [m]."""
+TOUCH = 100.0
+"""Distance from who moves for which a robot would come a metre closer to a wall than its margin."""
 ROUNDING = 2e-5
 """Greatest error of a distance in single precision some hundred metres from the origin [m]."""
 
@@ -94,6 +96,7 @@ class StopCheck(eqx.Module):
         is_point: Bool[Array, " P"],
         speeds: Float[Array, " P"] | None = None,
         age: Scalar | None = None,
+        is_wall: Bool[Array, " P"] | None = None,
     ) -> Validated:
         """Check a command.
 
@@ -106,9 +109,13 @@ class StopCheck(eqx.Module):
             is_point: (P,) points that count.
             speeds: (P,) speeds with which they may move [m/s]; 0 when absent.
             age: time from their measurement to the state [s]; 0 when absent.
+            is_wall: (P,) points that do not count for the command, but that the robot shall not
+                touch while it brakes; none when absent.
         """
         # Shapes are static, so points that do not count are moved far away.
-        kept = jnp.where(is_point[:, None], points, FAR + robot.position(state))
+        far = FAR + robot.position(state)
+        kept = jnp.where(is_point[:, None], points, far)
+        walls = None if is_wall is None else jnp.where(is_wall[:, None], points, far)
         still = jnp.zeros(kept.shape[0])
         began = jnp.zeros(()) if age is None else age
 
@@ -118,38 +125,49 @@ class StopCheck(eqx.Module):
                 kept, radii, robot.position(at), robot.heading(at), robot.footprint
             )
 
-        def braking(start: StateVector, turn: Scalar, time: Scalar) -> Scalar:
-            """Return the least gap of the robot while it brakes."""
+        def room(at: StateVector) -> Scalar:
+            if walls is None:
+                return jnp.asarray(jnp.inf)
+            place = robot.position(at), robot.heading(at), robot.footprint
+            return discs_clearance(walls, still, *place)
+
+        def braking(start: StateVector, turn: Scalar, time: Scalar) -> tuple[Scalar, Scalar]:
+            """Return the least gap of the robot while it brakes, and its least distance from
+            walls."""
 
             def step(
-                carry: tuple[StateVector, Scalar, Scalar], _: None
-            ) -> tuple[tuple[StateVector, Scalar, Scalar], None]:
-                at, least, time = carry
+                carry: tuple[StateVector, Scalar, Scalar, Scalar], _: None
+            ) -> tuple[tuple[StateVector, Scalar, Scalar, Scalar], None]:
+                at, least, free, time = carry
                 after = robot.step(
                     at, robot.stopping_control(at, self.time_step, turn), self.time_step
                 )
                 # Who touches a robot that stands does so by himself.
                 is_moving = jnp.any(jnp.abs(robot.pose(after) - robot.pose(at)) > AT_REST)
                 time = jnp.where(is_moving, time + self.time_step, time)
-                return (after, jnp.minimum(least, gap(after, time)), time), None
+                least, free = jnp.minimum(least, gap(after, time)), jnp.minimum(free, room(after))
+                return (after, least, free, time), None
 
-            carry = (start, gap(start, time), time)
-            (_, least, _), _ = jax.lax.scan(step, carry, None, length=self.num_steps)
-            return least
+            # A robot that touches a wall already may leave it.
+            carry = (start, gap(start, time), jnp.asarray(jnp.inf), time)
+            (_, least, free, _), _ = jax.lax.scan(step, carry, None, length=self.num_steps)
+            return least, free
 
         # In the middle of a long command the robot may be closer than at its end.
         half = robot.step(state, control, 0.5 * duration)
         after = robot.step(half, control, 0.5 * duration)
         here = gap(state, began)
-        braked = braking(after, jnp.zeros(()), began + duration)
+        braked, _ = braking(after, jnp.zeros(()), began + duration)
         planned = jnp.minimum(gap(half, began + 0.5 * duration), braked)
         # A robot within the margin may move if it gets no closer, but for rounding. With more it
         # would creep on in each control period.
         is_safe = planned >= jnp.minimum(self.margin, here - ROUNDING)
         turns = jnp.linspace(-1.0, 1.0, self.num_turns) if self.num_turns > 1 else jnp.zeros(1)
-        gaps = jax.vmap(lambda turn: braking(state, turn, began))(turns)
-        # Of equal ones the straightest: distances are rounded to a millimetre for that.
-        best = jnp.argmax(jnp.round(gaps, 3) - 1e-4 * jnp.abs(turns))
+        gaps, rooms = jax.vmap(lambda turn: braking(state, turn, began))(turns)
+        # Of equal ones the straightest: distances are rounded to a millimetre for that. First of
+        # all one that touches no wall: that contact is sure, and somebody may go elsewhere.
+        touches = jnp.maximum(self.margin - rooms, 0.0)
+        best = jnp.argmax(jnp.round(gaps, 3) - 1e-4 * jnp.abs(turns) - TOUCH * touches)
         stopping = robot.stopping_control(state, duration, turns[best])
         is_safe = is_safe & jnp.isfinite(control).all()
         return Validated(

@@ -205,7 +205,8 @@ def plan(
         later = belief.obstacles.after(inputs.since_map)
         belief = dataclasses.replace(belief, obstacles=later)
     control, memory, info = adapted.step(memory, start, belief, key=key)
-    checked = check(robot, start, control, period, points, is_point, speeds, inputs.age)
+    is_wall = None if speeds is None else is_point & (speeds == 0.0)
+    checked = check(robot, start, control, period, points, is_point, speeds, inputs.age, is_wall)
     controls = _ahead(controller, info.controls, checked.control, period)
 
     def step(at: StateVector, each: ControlVector) -> tuple[StateVector, tuple[Array, Array]]:
