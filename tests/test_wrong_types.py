@@ -121,7 +121,6 @@ SAID = {
 
 RIGHT = {
     "LabelledObject(label=text)",
-    "ExplorationScenario(target_coverage=None)",
     "MovingObstacleCost(collision=None)",
     "MovingObstacleCost(nearness=None)",
     "NamedCost(name=text)",
