@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxplore import Lidar, Perception, Unicycle, explorer
+from jaxplore._trees import with_field
 from jaxplore.control.fleet_controller import FleetController, same_for_all
 from jaxplore.control.guard import MotionGuard
 from jaxplore.costs.moving import MovingObstacleCost
@@ -255,8 +256,8 @@ def test_starts_are_chosen_near_one_another_and_always_the_same(alone) -> None:
 def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
     with pytest.raises(ValueError, match=r"guard of robots\[0\] is given"):
         Fleet(alone.guarded(MotionGuard()), STARTS[:2])
-    endless = eqx.tree_at(lambda each: each.target_coverage, alone, jnp.float32(2.0))
-    with pytest.raises(ValueError, match=r"target_coverage of robots\[0\] is None"):
+    endless = with_field(alone, "target", "never")
+    with pytest.raises(ValueError, match=r"target of robots\[0\] is 'never'; accepted in a fleet"):
         Fleet(endless, STARTS[:2])
     with pytest.raises(ValueError, match=r"exchange_rate is 7\.0; accepted: a whole fraction"):
         Fleet(alone, STARTS[:2], exchange_rate=7.0)
@@ -265,6 +266,16 @@ def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
         FleetController(controller.controllers[:1], scenario.robot)
     with pytest.raises(ValueError, match="guard is a MotionGuard; accepted for a fleet: None"):
         scenario.guarded(MotionGuard())
+
+
+def test_a_fleet_without_a_target_coverage_ends_at_its_own(alone) -> None:
+    """What a robot can still learn by its own map, another may know."""
+    without = eqx.tree_at(lambda each: each.target_coverage, alone, jnp.float32(2.0))
+    members = Fleet(with_field(without, "target", "information"), STARTS[:2]).members
+    assert [each.target for each in members] == ["coverage"] * 2
+    assert [float(each.target_coverage) for each in members] == [pytest.approx(0.99)] * 2
+    assert members[0] is members[1]
+    assert Fleet(alone, STARTS[:2]).members[0].target_coverage == alone.target_coverage
 
 
 def test_equal_robots_share_their_arrays(alone) -> None:
