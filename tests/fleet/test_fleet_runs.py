@@ -270,12 +270,13 @@ def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
 
 def test_a_fleet_without_a_target_coverage_ends_at_its_own(alone) -> None:
     """What a robot can still learn by its own map, another may know."""
-    without = eqx.tree_at(lambda each: each.target_coverage, alone, jnp.float32(2.0))
-    members = Fleet(with_field(without, "target", "information"), STARTS[:2]).members
+    assert alone.target == "information"
+    members = Fleet(alone, STARTS[:2]).members
     assert [each.target for each in members] == ["coverage"] * 2
     assert [float(each.target_coverage) for each in members] == [pytest.approx(0.99)] * 2
     assert members[0] is members[1]
-    assert Fleet(alone, STARTS[:2]).members[0].target_coverage == alone.target_coverage
+    given = eqx.tree_at(lambda each: each.target_coverage, alone, jnp.float32(0.9))
+    assert Fleet(given, STARTS[:2]).members[0].target_coverage == jnp.float32(0.9)
 
 
 def test_equal_robots_share_their_arrays(alone) -> None:
