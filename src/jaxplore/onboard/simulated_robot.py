@@ -94,7 +94,7 @@ class SimulatedRobot:
     ) -> None:
         _kinds.instance("scenario", scenario, ExplorationScenario)
         _kinds.key("key", key)
-        self.scenario, self._key = scenario, key
+        self.scenario, self._key = scenario.with_target_coverage(), key
         self.period = scenario.period
         periods = round(_checks.number("delay", delay, at_least=0.0) / self.period)
         self._pending = collections.deque([np.zeros(3)] * periods)

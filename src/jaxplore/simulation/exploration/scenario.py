@@ -65,6 +65,7 @@ from jaxplore.simulation.exploration.finish import (
     chosen_target,
     default_give_up_after,
     default_objective,
+    has_coverage_target,
     is_finished,
 )
 from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
@@ -86,6 +87,8 @@ from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
 
+TARGET_COVERAGE = 0.99
+"""Share at which an exploration ends that is not ended by its robot."""
 TOLD_NOISE = (0.05, 0.1)
 """Default of `tracking_noise` where the robot is told."""
 
@@ -350,6 +353,17 @@ class ExplorationScenario(Scenario):
         """Return the scenario with a robot that is told of moving obstacles (`tracking_noise`)."""
         told = with_field(self.perception, "tracker", None)
         return with_field(self, "perception", told)
+
+    def with_target_coverage(self) -> "ExplorationScenario":
+        """Return the scenario, which ends at a coverage of 0.99 if it has no target coverage.
+
+        It is for those who do not know what a robot can still learn: a fleet, in which another one
+        may know it, and a simulated robot whose mind is another program.
+        """
+        if self.target != "information" or bool(has_coverage_target(self.target_coverage)):
+            return self
+        ended = with_field(self, "target_coverage", jnp.asarray(TARGET_COVERAGE, jnp.float32))
+        return with_field(ended, "target", "coverage")
 
     @property
     def num_targets(self) -> int:

@@ -2,18 +2,13 @@
 
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxplore import _kinds
 from jaxplore._limits import MOST_ROBOTS
-from jaxplore._trees import with_field
 from jaxplore._types import Rows
-from jaxplore.simulation.exploration.finish import NEVER, has_coverage_target
+from jaxplore.simulation.exploration.finish import NEVER
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-
-TARGET_COVERAGE = 0.99
-"""Target coverage of a fleet of explorations that have none."""
 
 
 def checked_members(
@@ -55,17 +50,6 @@ def checked_members(
                     f"{name} of robots[{index}] is {here:g}; accepted: {there:g}, that of robots[0]"
                 )
     return members
-
-
-def with_coverage_target(one: ExplorationScenario) -> ExplorationScenario:
-    """Return an exploration that ends at a share of the reachable cells.
-
-    A fleet has one end: what a robot could still learn by its own map, another may know.
-    """
-    if bool(has_coverage_target(one.target_coverage)):
-        return one
-    ended = with_field(one, "target_coverage", jnp.asarray(TARGET_COVERAGE, jnp.float32))
-    return with_field(ended, "target", "coverage")
 
 
 def _check_supported(index: int, one: ExplorationScenario) -> None:

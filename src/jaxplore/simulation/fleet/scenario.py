@@ -28,7 +28,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
-from jaxplore.simulation.fleet.checks import checked_members, identities, with_coverage_target
+from jaxplore.simulation.fleet.checks import checked_members, identities
 from jaxplore.simulation.fleet.contact import parted
 from jaxplore.simulation.fleet.motion import moves
 from jaxplore.simulation.fleet.radio import Radio
@@ -115,7 +115,7 @@ class Fleet(Scenario):
     ) -> None:
         _kinds.instance("radio", radio, Radio, may_be_none=True)
         members = checked_members(robots, starts)
-        self.explorations = Alike(members).map(with_coverage_target)
+        self.explorations = Alike(members).map(ExplorationScenario.with_target_coverage)
         if len(members) > 1:
             # The others tell where they are, so there is nothing to be found in scans.
             told = self.explorations.map(ExplorationScenario.with_told_obstacles)
