@@ -109,14 +109,17 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         ),
         planted=None if settings.anomalies is None else world.planted,
         datum=world.datum,
-        **{**arguments(settings, ExplorationScenario), "max_unknown": _max_unknown(settings)},
+        **{
+            **arguments(settings, ExplorationScenario),
+            "max_unknown": _choose_max_unknown(settings),
+        },
         **arguments(settings.rates, ExplorationScenario),
     ).varied(build_variation(settings.variation))
     has_guard = settings.guard and settings.fleet is None
     return scenario.guarded(MotionGuard() if has_guard else None)
 
 
-def _max_unknown(settings: Settings) -> float | None:
+def _choose_max_unknown(settings: Settings) -> float | None:
     """Return the share of unknown cells at which the goal is next; None for the default."""
     if settings.max_unknown is None and settings.returns:
         # A robot that shall come back explores all that it can.
@@ -131,7 +134,7 @@ def _perception(
     watch, test = settings.watch, settings.anomalies
     # When absent, the default of `Perception` applies, not that of the scenario.
     tracker = ObstacleTracker(**arguments(settings.people, ObstacleTracker))
-    share = _max_unknown(settings)
+    share = _choose_max_unknown(settings)
     unknown: dict[str, Any] = {} if share is None else {"max_unknown": share}
     return Perception(
         sensors,

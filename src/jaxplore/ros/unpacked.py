@@ -88,7 +88,7 @@ def check_records(path: Path, limit: int = CHUNK_LIMIT) -> None:
     """
     with _open_after(_ROS1_MAGIC, path, "bag of ROS 1, version 2.0") as (file, end):
         while file.tell() < end:
-            fields = _fields(_read_sized(file, end, limit))
+            fields = _fields(_read_field_bytes(file, end, limit))
             (size,) = struct.unpack("<I", file.read(4))
             following = file.tell() + size
             if size > limit or following > end:
@@ -101,7 +101,7 @@ def check_records(path: Path, limit: int = CHUNK_LIMIT) -> None:
             file.seek(following)
 
 
-def _read_sized(file: BinaryIO, end: int, limit: int) -> bytes:
+def _read_field_bytes(file: BinaryIO, end: int, limit: int) -> bytes:
     """Return the bytes that follow, whose number comes first."""
     (size,) = struct.unpack("<I", file.read(4))
     if size > min(limit, end - file.tell()):

@@ -155,7 +155,7 @@ def _reading(number: int, name: str, line: bytes) -> Reading:
     family = name.rstrip("12345")
     if family in ("RAWLASER", "ROBOTLASER"):
         return _long(number, family, line)
-    words, beams = _split_counted(line, 1)
+    words, beams = _split_line(line, 1)
     poses = 3 if name == "LASER_READING" else 6
     tail = words[2 + beams :]
     # Old logs end with a host or have none.
@@ -173,7 +173,7 @@ def _reading(number: int, name: str, line: bytes) -> Reading:
 
 def _long(number: int, family: str, line: bytes) -> Reading:
     """Return the scan of a line that describes the lidar."""
-    words, beams = _split_counted(line, 8, spare=MOST_BEAMS + 20)
+    words, beams = _split_line(line, 8, spare=MOST_BEAMS + 20)
     rest = words[9 + beams :]
     remissions = _whole(rest[0]) if rest else -1
     poses = 11 if family == "ROBOTLASER" else 0
@@ -197,7 +197,7 @@ def _long(number: int, family: str, line: bytes) -> Reading:
     )
 
 
-def _split_counted(line: bytes, at: int, spare: int = 20) -> tuple[list[bytes], int]:
+def _split_line(line: bytes, at: int, spare: int = 20) -> tuple[list[bytes], int]:
     """Return the words of a line, and the number of beams, which is one of them.
 
     Args:
