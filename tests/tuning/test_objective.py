@@ -85,9 +85,12 @@ def explored(coverage: float, **others) -> dict:
     }
 
 
+@pytest.mark.parametrize("target", [0.99, None])
 @given(st.floats(0.0, 0.89), st.floats(0.0, 0.89))
-def test_who_gets_further_in_time_is_less_late(one, other) -> None:
-    first, second = (with_late_times(explored(each), 100.0) for each in (one, other))
+def test_who_gets_further_in_time_is_less_late(target, one, other) -> None:
+    first, second = (
+        with_late_times(explored(each, target_coverage=target), 100.0) for each in (one, other)
+    )
     for name in ("time_to.90", "finished_at"):
         assert first[name] > 100.0
         assert (first[name] < second[name]) == (

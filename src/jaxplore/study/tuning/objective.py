@@ -247,4 +247,6 @@ def _missing(metrics: Numbers) -> float:
         return min(
             1.0, 0.5 * number("final_unknown") + 0.5 * away / (away + number("path_length") + 1e-9)
         )
-    return max(0.0, number("target_coverage") - number("coverage"))
+    # Who ends by what he can learn has as much left as he has not seen.
+    target = metrics.get("target_coverage")
+    return max(0.0, (1.0 if target is None else target) - number("coverage"))
