@@ -25,7 +25,12 @@ from jaxplore.study.experiments import record_alone
 
 TASKS: dict[str, dict[str, Any]] = {
     "zones": {"map": "zones"},
-    "office": {"map": "office", "robot": {"model": "differential_drive"}, "time_limit": 250.0},
+    "office": {
+        "map": "office",
+        "robot": {"model": "differential_drive"},
+        "time_limit": 250.0,
+        "target_coverage": 0.99,
+    },
 }
 """Entries of settings by name."""
 BEGINS = {"zones": (1.0, 2.0), "office": (5.0, 12.0)}

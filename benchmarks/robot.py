@@ -111,7 +111,7 @@ def _memory(sizes: Sizes) -> Rows:
         _hall().to_ros(world)
         here = map(str, START)
         # Without a target the robot does not end when the hall is explored.
-        endless = ["--set", "target_coverage=null", "--time-limit", "100000", "--start", *here]
+        endless = ["--set", "target=never", "--time-limit", "100000", "--start", *here]
         start("robot", str(world), "--delay", str(DELAY), *endless)
         watcher.wait(lambda: watcher.robot)
         options = ["--mode", "follow", "--set", "node.latency=0.06", "--set", "node.map_size=20"]

@@ -21,16 +21,18 @@ from jaxplore.study.experiments import record_alone
 FORMER: dict[str, Any] = {"parameterisation": "direct", "weighting": "softmax"}
 """The default explorer until 2026-11-24: independent controls, and a fixed temperature."""
 PLACES: dict[str, dict[str, Any]] = {
-    "office": {"map": "office", "time_limit": 250.0},
+    "office": {"map": "office", "time_limit": 250.0, "target_coverage": 0.99},
     "nav2_depot": {
         "map": str(MAPS / "nav2_depot/depot.yaml"),
         "start": (4.62, 7.73, 0.0),
         "time_limit": 150.0,
+        "target_coverage": 0.99,
     },
     "aws_small_house": {
         "map": str(MAPS / "aws_small_house/map.yaml"),
         "start": (4.68, -1.97, 0.0),
         "time_limit": 90.0,
+        "target_coverage": 0.99,
     },
 }
 ROBOTS: dict[str, dict[str, Any]] = {
