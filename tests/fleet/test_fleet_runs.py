@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from jaxplore import Lidar, Perception, Unicycle, explorer
-from jaxplore._trees import with_field
 from jaxplore.control.fleet_controller import FleetController, same_for_all
 from jaxplore.control.guard import MotionGuard
 from jaxplore.costs.moving import MovingObstacleCost
@@ -256,7 +255,7 @@ def test_starts_are_chosen_near_one_another_and_always_the_same(alone) -> None:
 def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
     with pytest.raises(ValueError, match=r"guard of robots\[0\] is given"):
         Fleet(alone.guarded(MotionGuard()), STARTS[:2])
-    endless = with_field(alone, "target", "never")
+    endless = eqx.tree_at(lambda each: each.ends_by, alone, jnp.int32(3))
     with pytest.raises(ValueError, match=r"target of robots\[0\] is 'never'; accepted in a fleet"):
         Fleet(endless, STARTS[:2])
     with pytest.raises(ValueError, match=r"exchange_rate is 7\.0; accepted: a whole fraction"):
@@ -275,7 +274,9 @@ def test_a_fleet_without_a_target_coverage_ends_at_its_own(alone) -> None:
     assert [each.target for each in members] == ["coverage"] * 2
     assert [float(each.target_coverage) for each in members] == [pytest.approx(0.99)] * 2
     assert members[0] is members[1]
-    given = eqx.tree_at(lambda each: each.target_coverage, alone, jnp.float32(0.9))
+    given = eqx.tree_at(
+        lambda each: (each.target_coverage, each.ends_by), alone, (jnp.float32(0.9), jnp.int32(0))
+    )
     assert Fleet(given, STARTS[:2]).members[0].target_coverage == jnp.float32(0.9)
 
 

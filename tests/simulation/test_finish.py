@@ -11,10 +11,19 @@ from jaxplore.belief.guidance import GuidanceField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.simulation.exploration.finish import Knowledge, chosen_target, is_finished
+from jaxplore.simulation.exploration.finish import (
+    TARGETS,
+    Knowledge,
+    chosen_target,
+    is_finished,
+)
 
 NOTHING, HALF = jnp.zeros(()), jnp.asarray(0.5)
-after = eqx.filter_jit(lambda known, belief, target: known.after(belief, jnp.ones(2), HALF, target))
+after = eqx.filter_jit(
+    lambda known, belief, target: known.after(
+        belief, jnp.ones(2), HALF, counts_walls=target == "walls"
+    )
+)
 counted = eqx.filter_jit(lambda grid: Knowledge.nothing().count_walls(grid))
 
 
@@ -65,7 +74,8 @@ def ends(target: str, coverage: float, idle: float, walls: float) -> bool:
     progress = MapProgress(NOTHING + coverage, *(NOTHING for _ in range(5)))
     known = Knowledge(NOTHING + idle, NOTHING + walls)
     nobody, least = jnp.zeros(0, bool), NOTHING + 0.9
-    return bool(is_finished(progress, nobody, target, least, known, None, NOTHING))
+    end = (jnp.asarray(TARGETS.index(target)), least, known, None, NOTHING)
+    return bool(is_finished(progress, nobody, *end, counts_walls=target == "walls"))
 
 
 def test_each_target_has_an_end_of_its_own() -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from jaxplore._types import Flag, Position, Scalar
+from jaxplore._types import Count, Flag, Position, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.exploration_field import leads_to_information
 from jaxplore.belief.zones import UNKNOWN, entropy_proxy
@@ -18,6 +18,7 @@ from jaxplore.report.exploration.data import MapProgress
 NEVER = "never"
 TARGETS = ("coverage", "information", "walls", NEVER)
 """What an exploration may end by; a patrol by nothing."""
+_COVERAGE, _INFORMATION, _WALLS, _ = range(len(TARGETS))
 DONE_AFTER = 3.0
 """Time without a place that is worth a visit after which a robot has nothing left to learn [s]."""
 PATIENCE = 60.0
@@ -88,7 +89,9 @@ class Knowledge(NamedTuple):
         """Return the knowledge before the first scan."""
         return cls(jnp.zeros(()), jnp.zeros(()))
 
-    def after(self, belief: Belief, position: Position, period: Scalar, target: str) -> "Knowledge":
+    def after(
+        self, belief: Belief, position: Position, period: Scalar, *, counts_walls: bool
+    ) -> "Knowledge":
         """Return the knowledge a control period later.
 
         A place with little information is worth a visit for the target `walls`.
@@ -97,10 +100,10 @@ class Knowledge(NamedTuple):
             belief: the robot's belief.
             position: where it takes itself to be (x, y) [m].
             period: control period [s].
-            target: what the exploration ends by.
+            counts_walls: whether the exploration ends by the walls; static.
         """
         cost = belief.guidance(position)
-        if target == "walls":
+        if counts_walls:
             is_worth = cost < 0.5 * belief.guidance.outside
         else:
             is_worth = leads_to_information(cost)
@@ -121,33 +124,36 @@ class Knowledge(NamedTuple):
 def is_finished(
     progress: MapProgress,
     is_seen: Bool[Array, " M"],
-    target: str,
+    target: Count,
     target_coverage: Scalar,
     known: Knowledge,
     is_there: Flag | None,
     max_unknown: Scalar,
+    *,
+    counts_walls: bool = False,
 ) -> Flag:
     """Check whether an exploration is finished; see `ExplorationScenario`.
 
     Args:
         progress: statistics of the known map.
         is_seen: (M,) whether each target has been seen; with M = 0 the coverage counts instead.
-        target: what the exploration ends by.
+        target: what the exploration ends by, an index into `TARGETS`.
         target_coverage: share of the reachable cells, or of the walls, that must be known.
         known: what the robot knows of what is left.
         is_there: whether the goal is reached; None without a goal.
         max_unknown: share of unknown cells below which the map is explored; only with a goal.
+        counts_walls: whether the target is the walls, whose share is counted then; static.
     """
     has_targets = is_seen.shape[0] > 0
     is_done = known.idle >= DONE_AFTER
     if has_targets:
         is_covered = jnp.all(is_seen)
-    elif target == "coverage":
-        is_covered = progress.coverage >= target_coverage
-    elif target == "walls":
-        is_covered = is_done | (known.walls >= target_coverage)
     else:
-        is_covered = is_done & (target != NEVER)
+        # The target is traced, so that a search or an environment may change it.
+        share = known.walls if counts_walls else progress.coverage
+        ends_by_share = (target == _COVERAGE) | (target == _WALLS)
+        ends_by_knowledge = (target == _INFORMATION) | (target == _WALLS)
+        is_covered = ends_by_share & (share >= target_coverage) | ends_by_knowledge & is_done
     if is_there is None:
         return is_covered
     # Targets are an end of their own: seeing all of them counts, not how much of the map is known.

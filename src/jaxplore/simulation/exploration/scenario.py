@@ -62,6 +62,7 @@ from jaxplore.simulation.exploration.carrying import carried, check_carrying, la
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.finish import (
     NEVER,
+    TARGETS,
     chosen_target,
     default_give_up_after,
     default_objective,
@@ -138,7 +139,7 @@ class ExplorationScenario(Scenario):
             period.
         target: what the exploration ends by, `coverage`, `information`, `walls` or `never`; by
             default the coverage if there is a target, else the information, and on a patrol
-            nothing; static.
+            nothing.
         target_coverage: share of the reachable cells, or of the walls, at which exploration is
             finished; none when absent.
         give_up_after: time without a rise of the coverage after which the exploration is given up
@@ -192,6 +193,7 @@ class ExplorationScenario(Scenario):
     steps_per_scan: Count
     steps_per_field: Count
     target_coverage: Scalar
+    ends_by: Count
     give_up_after: Scalar
     goal: Position | None
     goal_radius: Scalar
@@ -208,7 +210,7 @@ class ExplorationScenario(Scenario):
     planted: PlantedAnomalies | None
     chassis: Chassis | None
     localisation: Localisation | None
-    target: str = eqx.field(static=True)
+    counts_walls: bool = eqx.field(static=True)
     clearance_reach: int = eqx.field(static=True)
 
     def __init__(
@@ -307,9 +309,11 @@ class ExplorationScenario(Scenario):
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.checked_coverage(target_coverage)
-        self.target = chosen_target(
+        chosen = chosen_target(
             target, has_coverage=target_coverage is not None, is_patrol=perception.watch is not None
         )
+        self.ends_by = on_device(np.asarray(TARGETS.index(chosen), np.int32))
+        self.counts_walls = chosen == "walls"
         if give_up_after is None:
             give_up_after = default_give_up_after(world, robot)
         self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
@@ -362,8 +366,16 @@ class ExplorationScenario(Scenario):
         """
         if self.target != "information" or bool(has_coverage_target(self.target_coverage)):
             return self
-        ended = with_field(self, "target_coverage", jnp.asarray(TARGET_COVERAGE, jnp.float32))
-        return with_field(ended, "target", "coverage")
+        end = jnp.asarray(TARGET_COVERAGE, jnp.float32), jnp.zeros_like(self.ends_by)
+        ended: ExplorationScenario = eqx.tree_at(
+            lambda at: (at.target_coverage, at.ends_by), self, end
+        )
+        return ended
+
+    @property
+    def target(self) -> str:
+        """What the exploration ends by, one of `coverage`, `information`, `walls` and `never`."""
+        return TARGETS[int(self.ends_by)]
 
     @property
     def num_targets(self) -> int:
@@ -456,8 +468,10 @@ class ExplorationScenario(Scenario):
         senses, gain = self.senses, state.gain
         state = senses.perceive(state, self.true_world(state, moment), moment, key)
         place = self.robot.position(self.measured(state))
-        known = state.known.after(state.belief, place, self.control_period, self.target)
-        if self.target == "walls":
+        known = state.known.after(
+            state.belief, place, self.control_period, counts_walls=self.counts_walls
+        )
+        if self.counts_walls:
             known = jax.lax.cond(
                 senses.is_scan_due(moment.step),
                 lambda: known.count_walls(state.belief.grid),
@@ -547,8 +561,8 @@ class ExplorationScenario(Scenario):
         if check is not None:
             # A robot that finds its pose is where it takes itself to be.
             is_there = check.is_reached(self.robot.pose(self.measured(state)), state.motion)
-        end = (self.target, self.target_coverage, state.known, is_there, self.max_unknown)
-        return is_finished(state.progress, state.is_seen, *end)
+        end = (self.ends_by, self.target_coverage, state.known, is_there, self.max_unknown)
+        return is_finished(state.progress, state.is_seen, *end, counts_walls=self.counts_walls)
 
     def is_given_up(self, state: ExplorationState) -> Flag:
         """Check whether the exploration is given up, as the class says.
@@ -558,7 +572,7 @@ class ExplorationScenario(Scenario):
         """
         if self.goal is not None or self.num_targets > 0:
             return jnp.array(False)
-        is_judged = (self.target != NEVER) & (state.finished == 0)
+        is_judged = (self.ends_by != TARGETS.index(NEVER)) & (state.finished == 0)
         return is_judged & (state.gain.since >= self.give_up_after)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
