@@ -33,7 +33,7 @@ class Watcher:
     def __init__(self) -> None:
         rclpy.init()
         self.node = rclpy.create_node("watcher")
-        self.robot, self.driver = {}, {}
+        self.robot, self.driver, self.reasons = {}, {}, []
         self.speeds, self.commands, self.plans, self.maps = [], [], [], []
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for kind, topic, take, quality in (
@@ -55,6 +55,8 @@ class Watcher:
 
     def _driver(self, message: String) -> None:
         self.driver = json.loads(message.data)
+        # A reason may last for one control period.
+        self.reasons.append(self.driver["reason"])
 
     def _odometry(self, message: Odometry) -> None:
         self.speeds.append(abs(message.twist.twist.linear.x))
@@ -153,8 +155,11 @@ def main(folder: Path) -> dict:
         simulated, seen["clock"] = SimulatedTime(watcher, ("/jaxplore", "/jaxplore_robot")), []
 
         def follow(what: str, reason: str) -> None:
-            watcher.wait(what, lambda: watcher.driver.get("reason", "").startswith(reason))
-            seen["clock"].append(watcher.driver["reason"])
+            def found() -> list[str]:
+                return [each for each in watcher.reasons if each.startswith(reason)]
+
+            watcher.wait(what, found)
+            seen["clock"].append(found()[-1])
 
         follow("the time is another", "the clock jumped by ")
         watcher.wait("it drives by it", lambda: watcher.speeds[-1] > 0.1)

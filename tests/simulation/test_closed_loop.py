@@ -476,12 +476,13 @@ def test_an_exploration_that_learns_nothing_is_given_up_and_says_what_is_left(ma
     np.testing.assert_array_equal(longer.records.state[:expected], recording.records.state)
 
 
-@pytest.mark.parametrize("kept", [{"goal": HALL_GOAL}, {"target_coverage": None, "goal": None}])
-def test_only_an_exploration_that_coverage_ends_is_given_up(kept) -> None:
+@pytest.mark.parametrize("kept", [{"goal": HALL_GOAL}, {"target": "never", "goal": None}])
+def test_only_an_exploration_that_has_an_end_is_given_up(kept) -> None:
     state = initial_loop_state(AHEAD, hall()).task
     scenario = hall(give_up_after=0.6, **kept)
     state = state._replace(gain=state.gain._replace(since=jnp.asarray(1e6)))
     assert not bool(scenario.is_given_up(state))
+    assert bool(hall(give_up_after=0.6, goal=None).is_given_up(state))
 
 
 def test_the_patience_of_an_exploration_grows_with_the_map_and_falls_with_the_speed() -> None:

@@ -20,6 +20,7 @@ from jaxplore.onboard.rows import Rows
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.ros import map_messages, messages
+from jaxplore.ros.changes import Changes, kind_of
 from jaxplore.ros.command_publisher import CommandPublisher
 from jaxplore.ros.drive_publisher import DrivePublisher
 from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
@@ -113,7 +114,8 @@ class ControlNode:
         # The fixed frame, and that of the poses, which drifts where the robot localises itself.
         self._pose_frame = link.frame(settings.world_frame)
         self._is_internal = settings.pose == "internal"
-        self._last_mode: tuple[Mode, str] | None = None
+        self._changes = Changes()
+        self._last_mode: Mode | None = None
         self._commands = CommandPublisher(link, settings)
         self._publisher = DrivePublisher(link, pilot, settings.rollout_colour)
         self._began = math.inf
@@ -280,6 +282,7 @@ class ControlNode:
                 ends_by = min(ends_by, now + MOST_BRAKING)
             command = self._next_command(now + self.settings.deadline * period)
             self._commands.publish(command)
+            self._changes.add(command)
             if arrived is not None and command.scan_time is not None:
                 self.latencies.scan_ms.add(1e3 * (time.monotonic() - arrived))
             arrived = None
@@ -347,7 +350,11 @@ class ControlNode:
         if self._is_internal and pilot.pose is not None:
             self._publisher.publish_transform(now, self._frame_name, self._pose_frame)
         pilot.log.frames.add_when_due(pilot.log.num_steps * pilot.period, pilot.make_frame)
-        self._tell(command)
+        changes = self._changes.take()
+        for change in changes:
+            self._publish_state(change)
+        for each in changes or [command]:
+            self._tell(each)
         self.watch.after(command)
         if self._publisher.publish_due(now, self._frame_name, self._state_entries(command)):
             self._warn_of_others()
@@ -358,15 +365,13 @@ class ControlNode:
                 self.pilot.finish(reason)
 
     def _tell(self, command: Command) -> None:
-        """Log a change of what the pilot does, with the reason."""
-        told = (command.mode, command.reason)
-        former, self._last_mode = self._last_mode, told
-        if former is None or former[0] is not told[0]:
+        """Log what the pilot does, with the reason."""
+        former, self._last_mode = self._last_mode, command.mode
+        if former is not command.mode:
             reason = f": {command.reason}" if command.reason else ""
             self.link.info(f"{command.mode}{reason}")
         elif command.reason and command.mode is not Mode.DONE and not self._silence.is_long:
-            # A reason has numbers that change, so its kind is what it begins with.
-            self.link.warn(f"{command.mode} {command.reason[:12]}", command.reason)
+            self.link.warn(" ".join(kind_of(command)), command.reason)
 
     def _publish_state(self, command: Command) -> None:
         self._publisher.publish_state(self._state_entries(command))
