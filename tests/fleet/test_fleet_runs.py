@@ -304,3 +304,10 @@ def test_bad_settings_of_a_fleet_get_one_line(fails) -> None:
         "run", "fleet", "--set", "fleet.starts=[[1,6.6,0]]"
     )
     assert "fleet.robots is 3 beside a path" in fails("run", "path", "--robots", "3")
+
+
+@pytest.mark.parametrize("target", ["information", "never"])
+def test_a_fleet_says_that_it_ends_by_coverage_alone(target: str, fails, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    said = fails("run", "fleet", "--set", f"target={target}")
+    assert f"target is '{target}'; accepted in a fleet: coverage" in said

@@ -485,6 +485,16 @@ def test_only_an_exploration_that_has_an_end_is_given_up(kept) -> None:
     assert bool(hall(give_up_after=0.6, goal=None).is_given_up(state))
 
 
+def test_walls_that_grow_for_ever_are_given_up_where_no_place_is_worth_a_visit() -> None:
+    state = initial_loop_state(AHEAD, hall()).task
+    for target, is_over in (("walls", True), ("information", False)):
+        scenario = hall(give_up_after=5.0, goal=None, target=target, target_coverage=0.9)
+        for idle in (4.9, 5.1):
+            known = state.known._replace(idle=jnp.asarray(idle))
+            found = bool(scenario.is_given_up(state._replace(known=known)))
+            assert found == (is_over and idle > 5.0)
+
+
 def test_the_patience_of_an_exploration_grows_with_the_map_and_falls_with_the_speed() -> None:
     for speed in (0.5, 2.0):
         robot = DifferentialDrive(max_speed=speed)

@@ -48,9 +48,14 @@ def build_fleet(
         datum: point of the map's coordinates to which all positions are relative.
 
     Raises:
-        ValueError: more robots than there is room for, starts that are not possible, or another
-            number of them.
+        ValueError: a target that a fleet does not end by, more robots than there is room for,
+            starts that are not possible, or another number of them.
     """
+    if settings.target not in (None, "coverage"):
+        raise ValueError(
+            f"target is {settings.target!r}; accepted in a fleet: coverage, because another robot "
+            "may know what one has left to learn"
+        )
     if given.starts is None:
         starts = near_starts(scenario, given.robots)
         # A robot alone has the start of an exploration to the bit.

@@ -89,24 +89,15 @@ class Knowledge(NamedTuple):
         """Return the knowledge before the first scan."""
         return cls(jnp.zeros(()), jnp.zeros(()))
 
-    def after(
-        self, belief: Belief, position: Position, period: Scalar, *, counts_walls: bool
-    ) -> "Knowledge":
+    def after(self, belief: Belief, position: Position, period: Scalar) -> "Knowledge":
         """Return the knowledge a control period later.
-
-        A place with little information is worth a visit for the target `walls`.
 
         Args:
             belief: the robot's belief.
             position: where it takes itself to be (x, y) [m].
             period: control period [s].
-            counts_walls: whether the exploration ends by the walls; static.
         """
-        cost = belief.guidance(position)
-        if counts_walls:
-            is_worth = cost < 0.5 * belief.guidance.outside
-        else:
-            is_worth = leads_to_information(cost)
+        is_worth = leads_to_information(belief.guidance(position))
         return self._replace(idle=jnp.where(is_worth, 0.0, self.idle + period))
 
     def count_walls(self, grid: OccupancyGrid) -> "Knowledge":
@@ -152,8 +143,7 @@ def is_finished(
         # The target is traced, so that a search or an environment may change it.
         share = known.walls if counts_walls else progress.coverage
         ends_by_share = (target == _COVERAGE) | (target == _WALLS)
-        ends_by_knowledge = (target == _INFORMATION) | (target == _WALLS)
-        is_covered = ends_by_share & (share >= target_coverage) | ends_by_knowledge & is_done
+        is_covered = ends_by_share & (share >= target_coverage) | (target == _INFORMATION) & is_done
     if is_there is None:
         return is_covered
     # Targets are an end of their own: seeing all of them counts, not how much of the map is known.

@@ -105,7 +105,8 @@ class ExplorationScenario(Scenario):
     - With a target coverage: at this coverage, which the true map tells and the robot does not
       know. It is for comparisons.
     - With the target `walls`: when of the cells around its known free space a share
-      `target_coverage` are known walls, or when nothing at all is left to learn.
+      `target_coverage` are known walls. Where no place is worth a visit any more it goes on for
+      `give_up_after`, because little information may be a piece of wall.
     - With a goal: when the robot has reached it (`GoalCheck`), with less than `max_unknown` of the
       map unknown, at the target coverage, or with nothing left to learn. With a goal apart (see
       `Perception`) the robot drives to the goal first and explores on the way.
@@ -468,9 +469,7 @@ class ExplorationScenario(Scenario):
         senses, gain = self.senses, state.gain
         state = senses.perceive(state, self.true_world(state, moment), moment, key)
         place = self.robot.position(self.measured(state))
-        known = state.known.after(
-            state.belief, place, self.control_period, counts_walls=self.counts_walls
-        )
+        known = state.known.after(state.belief, place, self.control_period)
         if self.counts_walls:
             known = jax.lax.cond(
                 senses.is_scan_due(moment.step),
@@ -573,7 +572,11 @@ class ExplorationScenario(Scenario):
         if self.goal is not None or self.num_targets > 0:
             return jnp.array(False)
         is_judged = (self.ends_by != TARGETS.index(NEVER)) & (state.finished == 0)
-        return is_judged & (state.gain.since >= self.give_up_after)
+        since = state.gain.since
+        if self.counts_walls:
+            # Walls that are seen from far away through gaps grow for ever, a cell at a time.
+            since = jnp.maximum(since, state.known.idle)
+        return is_judged & (since >= self.give_up_after)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
