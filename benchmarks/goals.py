@@ -46,6 +46,7 @@ class Drive(NamedTuple):
         is_reached: whether the goal is reached.
         steps: number of control periods.
         error: distance from the goal [m].
+        turn: difference from the heading at the goal [rad]; 0 where any will do.
         clearance: least distance of the robot's edge from what is not free [m].
         beyond: greatest distance from the goal after the robot was first within its radius [m].
     """
@@ -53,6 +54,7 @@ class Drive(NamedTuple):
     is_reached: Array
     steps: Array
     error: Array
+    turn: Array
     clearance: Array
     beyond: Array
 
@@ -115,7 +117,7 @@ def _cut(cells: np.ndarray) -> np.ndarray:
 
 
 def places(cells: np.ndarray, radius: float, number: int, seed: int) -> np.ndarray:
-    """Return starts and goals (number, 5): x, y, yaw, and x, y of the goal."""
+    """Return starts and goals (number, 6): x, y, yaw, and x, y, yaw of the goal."""
     grid = jx.OccupancyGrid(cells, RESOLUTION)
     spot = np.array([*open_spot(grid, radius + ROOM), 0.0])
     free = np.argwhere(reachable_cells(grid, spot, radius + ROOM))
@@ -127,7 +129,8 @@ def places(cells: np.ndarray, radius: float, number: int, seed: int) -> np.ndarr
         start, goal = (RESOLUTION * (free[rng.integers(len(free))][::-1] + 0.5) for _ in range(2))
         if nearest <= np.hypot(*(goal - start)) <= FARTHEST:
             rows.append([*start, rng.uniform(-np.pi, np.pi), *goal])
-    return np.array(rows, np.float32)
+    headings = np.random.default_rng([seed, 1]).uniform(-np.pi, np.pi, (number, 1))
+    return np.hstack([np.array(rows), headings]).astype(np.float32)
 
 
 @eqx.filter_jit
@@ -138,12 +141,16 @@ def drive(
     place: Array,
     seed: Array,
 ) -> Drive:
-    """Drive from a start to a goal on a known map."""
-    start, goal = place[:3], place[3:]
+    """Drive from a start to a goal on a known map, to its heading if the perception has one."""
+    start, goal = place[:3], place[3:5]
     perception = eqx.tree_at(lambda each: each.goal, perception, goal)
+    heading = None
+    if perception.goal_heading is not None:
+        heading = place[5]
+        perception = eqx.tree_at(lambda each: each.goal_heading, perception, heading)
     belief: Belief = perception.init(jx.OccupancyGrid(cells, RESOLUTION), start)
     robot, controller, period, height = kind
-    check = GoalCheck.of(goal)
+    check = GoalCheck.of(goal, heading=heading)
 
     def goes_on(carry: Any) -> Array:
         so_far: Drive = carry[2]
@@ -168,20 +175,28 @@ def drive(
         beyond = jnp.where(was_there, jnp.maximum(so_far.beyond, error), so_far.beyond)
         beyond = jnp.where(was_there | (error > check.radius), beyond, error)
         clearance = jnp.minimum(so_far.clearance, clearance)
-        return memory, after, Drive(reached, so_far.steps + 1, error, clearance, beyond)
+        turn = jnp.zeros(())
+        if heading is not None:
+            away = robot.pose(after)[2] - heading
+            turn = jnp.abs(jnp.arctan2(jnp.sin(away), jnp.cos(away)))
+        return memory, after, Drive(reached, so_far.steps + 1, error, turn, clearance, beyond)
 
     state = robot.at_pose(0.0, 0.0, 0.0)
     state = robot.with_pose(state, start)
     if "z" in robot.state_names:
         state = robot.with_component(state, "z", height)
     nothing = Drive(
-        jnp.array(False), jnp.zeros((), int), jnp.zeros(()), jnp.full((), jnp.inf), -jnp.ones(())
+        jnp.array(False),
+        jnp.zeros((), int),
+        *(jnp.zeros(()), jnp.zeros(()), jnp.full((), jnp.inf), -jnp.ones(())),
     )
     driven: Drive = jax.lax.while_loop(goes_on, step, (controller.init(), state, nothing))[2]
     return driven
 
 
-def measure(names: list[str], number: int, num_scenes: int) -> dict[str, list[dict[str, Any]]]:
+def measure(
+    names: list[str], number: int, num_scenes: int, *, has_heading: bool = False
+) -> dict[str, list[dict[str, Any]]]:
     """Return the drives of each robot, `number` on each map."""
     lidar = jx.Lidar()
     results: dict[str, list[dict[str, Any]]] = {}
@@ -195,6 +210,7 @@ def measure(names: list[str], number: int, num_scenes: int) -> dict[str, list[di
             RESOLUTION,
             robot.radius,
             goal=(0.0, 0.0),
+            goal_heading=0.0 if has_heading else None,
             max_unknown=1.0,
             car=car_motion(robot),
         ).for_batches()
@@ -225,6 +241,7 @@ def rows_of(results: dict[str, list[dict[str, Any]]]) -> Rows:
                 "reached": f"{sum(each['is_reached'] for each in drives):.0f} of {len(drives)}",
                 "rest error [m], median": round(float(np.median(error)), 3),
                 "greatest": round(float(error.max()), 3),
+                "of the heading [rad]": round(max(each["turn"] for each in drives), 3),
                 "farthest after arrival [m]": round(max(each["beyond"] for each in drives), 2),
                 "time [s], median": round(float(np.median(at)), 1),
                 "contacts": sum(each["clearance"] < -0.5 * RESOLUTION for each in drives),
@@ -239,9 +256,10 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=list(kinds()), choices=list(kinds()))
     parser.add_argument("--seeds", type=int, default=5, help="drives on each map")
     parser.add_argument("--scenes", type=int, default=20, help="number of maps")
+    parser.add_argument("--heading", action="store_true", help="goals have a heading")
     parser.add_argument("--out", type=Path, help="JSON file for the drives")
     given = parser.parse_args()
-    results = measure(given.robots, given.seeds, given.scenes)
+    results = measure(given.robots, given.seeds, given.scenes, has_heading=given.heading)
     if given.out is not None:
         given.out.write_text(json.dumps(results, indent=1))
     print(markdown(rows_of(results)))

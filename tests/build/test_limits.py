@@ -377,6 +377,9 @@ OFFICE = ["office", "--no-animation"]
         (["replay", "bag", "--set", "node.map_size=100000"], "of it for the"),
         (["robot", "office", "--memory-limit", "0.5"], "the run needs about"),
         (["robot", "office", "--delay", "1e9"], "--delay is"),
+        (["robot", "office", "--mount", "11", "0", "0"], "--mount is 11 0 0; accepted: at most 10"),
+        (["robot", "office", "--mount", "0", "nan", "0"], "--mount is 0 nan 0; accepted: at most"),
+        (["robot", "office", "--mount", "0", "0", "inf"], "--mount is 0 0 inf; accepted: at most"),
     ],
 )
 def test_the_command_line_refuses_in_one_line(

@@ -187,7 +187,7 @@ HUGE = {
         *("--budget 99999999999999999999999", "--budget 1e30s", f"--budget {'9' * 400}h"),
         *("--tune controller.horizon=1:1000000000", "--tune controller.num_samples=1:1e18"),
     ),
-    "robot office": ("--drift 1e30",),
+    "robot office": ("--drift 1e30", "--mount 1e30 0 0", "--mount nan 0 0"),
     "view {base}/run": ("--port 99999999999",),
 }
 """Settings and options that are huge, and may be accepted where they cost nothing."""

@@ -1,5 +1,6 @@
 """`jaxplore node` and `jaxplore robot`: drive a robot over ROS 2, and simulate one."""
 
+import math
 import sys
 import time
 from contextlib import ExitStack
@@ -39,6 +40,8 @@ from jaxplore.simulation.run import Run
 
 _MOST = {"delay": LONGEST_LATENCY, "drift": 1.0}
 """Greatest values of options of the simulated robot."""
+MOST_MOUNT = 10.0
+"""Greatest distance of a simulated lidar from the centre of its robot [m]."""
 COMMANDS = "commands.csv"
 """File of a run folder with the velocity commands of a drive."""
 
@@ -224,7 +227,8 @@ def simulate_robot(options: dict[str, Any]) -> None:
         ValueError: options that are not accepted, no ROS 2, or another simulated robot.
     """
     out, overwrite, animation = (options.pop(name) for name in ("out", "overwrite", "animation"))
-    own = {name: options.pop(name) for name in ("delay", "drift", "command_type", "has_map")}
+    names = ("delay", "drift", "mount", "turning", "command_type", "has_map")
+    own = {name: options.pop(name) for name in names}
     namespace = options.pop("namespace")
     if namespace is not None:
         namespace = checked_namespace("--namespace", namespace)
@@ -234,6 +238,12 @@ def simulate_robot(options: dict[str, Any]) -> None:
             raise ValueError(
                 f"--{name} is {own[name]:g}; accepted: a number in [0, {_MOST[name]:g}]"
             )
+    x, y, degrees = own["mount"]
+    if not (math.hypot(x, y) <= MOST_MOUNT and math.isfinite(degrees)):
+        raise ValueError(
+            f"--mount is {x:g} {y:g} {degrees:g}; accepted: at most {MOST_MOUNT:g} m from the "
+            "robot's centre, and a finite angle"
+        )
     given = option_entries(options)
     check_memory([make_settings(given)], limit)
     entries = find_task(given).with_start(given)
@@ -246,7 +256,12 @@ def simulate_robot(options: dict[str, Any]) -> None:
         raise ValueError("the task is a path; accepted: a map")
     show_starts({"": given}, {"": entries})
     simulated = SimulatedRobot(
-        scenario, jax.random.key(settings.seed), delay=own["delay"], drift=own["drift"]
+        scenario,
+        jax.random.key(settings.seed),
+        delay=own["delay"],
+        drift=own["drift"],
+        mount=(x, y, math.radians(degrees)),
+        is_turning=own["turning"],
     )
     with connected(robot.NODE, namespace) as link:
         say("Compiling, a few seconds ...", err=True)

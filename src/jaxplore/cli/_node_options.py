@@ -103,6 +103,22 @@ def robot_options(command: Any) -> Any:
                 help="Standard deviation of the scale errors of the odometry.",
             ),
             click.option(
+                "--mount",
+                type=float,
+                nargs=3,
+                metavar="X Y DEGREES",
+                default=(0.0, 0.0, 0.0),
+                show_default=True,
+                help="Place and heading of the lidar on the robot, as lidar_x, lidar_y and "
+                "lidar_yaw_degrees of the node.",
+            ),
+            click.option(
+                "--turning/--at-once",
+                default=False,
+                show_default=True,
+                help="Whether the lidar turns while the robot drives; else it measures all at once.",
+            ),
+            click.option(
                 "--command-type",
                 type=click.Choice(["twist", "twist_stamped"]),
                 default="twist",

@@ -24,8 +24,10 @@ FADING = 0.3
 """Distance from the goal below which the direction of motion counts less [m]."""
 SETTLING = 0.3
 """Cost of a squared speed at the goal, so that a robot comes to rest there [s^2/m]."""
-HEADING = 0.5
-"""Half the cost of facing away from the heading at the goal [m]."""
+HEADING, TURNING_REACH = 0.3, 0.4
+"""Cost of facing away from the heading at a goal [m], and the distance from it at which it is 1/e
+of that [m]. It falls by at most 0.64 m per metre, so a robot that comes from the other side is
+better off at the goal than where it would turn too early."""
 
 
 def with_overrun(state: State, distance: Scalar) -> Scalar:
@@ -70,7 +72,7 @@ def homing_cost(
     It is `with_overrun` of the distance to go, plus `turning` times what is missing of facing the
     way, plus 0.3 s^2/m of the squared speed within about 0.3 m of the goal. Close to the goal the
     distance and the way are those of the straight line, as the nodes of a field are coarser than
-    the radius of a goal.
+    the radius of a goal. A heading at the goal adds `0.3 exp(-(d / 0.4)^2) |turn| / pi`.
 
     Args:
         state: state of the robot.
@@ -99,7 +101,8 @@ def homing_cost(
     total = total + SETTLING * nearness * _squared_motion(state)
     if heading is None:
         return total
-    return total + HEADING * nearness * (1.0 - sin_cos(yaw - heading)[1])
+    turn = jnp.abs(jnp.arctan2(*sin_cos(yaw - heading))) / jnp.pi
+    return total + HEADING * jnp.exp(-((distance / TURNING_REACH) ** 2)) * turn
 
 
 def _squared_motion(state: State) -> Scalar:
