@@ -201,6 +201,15 @@ class CarRoadmap(Roadmap):
         """Return the cost of the path from a pose (x, y, yaw) to each node [m]."""
         return self.costs(self.starts(pose), is_from_source=True).min(axis=(0, 1))
 
+    def sources_at(
+        self, point: Position, heading: Scalar | None = None
+    ) -> Float[Array, "*headings H W"]:
+        """Return the sources of paths that end at a point, (N, H, W) where they end with a heading;
+        see `Roadmap.sources_at`."""
+        if heading is None:
+            return super().sources_at(point)
+        return self.starts(jnp.append(point, heading))
+
     def starts(self, pose: Pose) -> Float[Array, "N H W"]:
         """Return how far the open poses nearest to a pose (x, y, yaw) are from it [m].
 
@@ -214,7 +223,9 @@ class CarRoadmap(Roadmap):
         cost = jnp.where(self.is_open_at, cost, jnp.inf)
         return nearest_open(cost, jnp.where(self.is_open, away, jnp.inf), spacing, self.corners)
 
-    def field(self, source: Float[Array, "H W"], start: Position | None = None) -> "CarGuidance":
+    def field(
+        self, source: Float[Array, "*headings H W"], start: Position | None = None
+    ) -> "CarGuidance":
         """Return the cost-to-go as a field over positions and headings; the start is not read."""
         return self._field(source)[0]
 
@@ -225,14 +236,16 @@ class CarRoadmap(Roadmap):
         field, costs = self._field(source)
         return field.from_pose(pose), (self.starts(pose) + costs.min(axis=0)).min()
 
-    def _field(self, source: Float[Array, "H W"]) -> tuple["CarGuidance", Float[Array, "D N H W"]]:
+    def _field(
+        self, source: Float[Array, "*headings H W"]
+    ) -> tuple["CarGuidance", Float[Array, "D N H W"]]:
         """Return the field, and the cost-to-go that it extends into closed poses."""
         at_nodes, costs = self._costs(self._at_all_headings(source), is_between=True)
         step = jnp.asarray(3.0 * self.frame.resolution)
         planar = descent_field(costs.min(axis=(0, 1)), self.frame, LAYERS, self.corners)
         return with_headings(planar, _extended(costs, step), self, at_nodes), costs
 
-    def _at_all_headings(self, source: Float[Array, "H W"]) -> Float[Array, "N H W"]:
+    def _at_all_headings(self, source: Float[Array, "*headings H W"]) -> Float[Array, "N H W"]:
         return jnp.broadcast_to(source, self.is_open_at.shape)
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxplore._types import Flag, Position, Scalar
 from jaxplore.belief.guidance import GuidanceField
-from jaxplore.belief.roadmap import Locomotion, Roadmap
+from jaxplore.belief.roadmap import Locomotion
 from jaxplore.maps.field import ScalarField
 
 LEFTOVER_DETOUR = 1e3
@@ -30,6 +30,7 @@ def exploration_field(
     stride: int,
     goal: Position | None,
     is_explored: Flag,
+    goal_heading: Scalar | None = None,
     start: Position | None = None,
     claims: Float[Array, "rows columns"] | None = None,
 ) -> GuidanceField:
@@ -67,6 +68,7 @@ def exploration_field(
         min_information: information below which a place comes last [nat].
         stride: number of cells between nodes; static.
         goal: goal position (x, y) that is one more source [m]; None without one.
+        goal_heading: heading at the goal [rad]; any when absent.
         is_explored: whether the goal is the only source; without a goal it has no effect.
         start: position (x, y) of the robot [m], see `Roadmap.field`.
         claims: additional cost of each node as the end of a path [m]; none when absent.
@@ -76,7 +78,9 @@ def exploration_field(
     if claims is not None:
         source = source + claims
     if goal is not None:
-        source = _with_goal(source, roads, goal, is_explored)
+        at_goal = roads.sources_at(goal, goal_heading) + GOAL_DETOUR
+        # Once all is explored, the goal is the only source.
+        source = jnp.minimum(jnp.where(is_explored, jnp.inf, source), at_goal)
     return roads.field(source, start)
 
 
@@ -124,9 +128,3 @@ def leads_to_information(cost: Any) -> Any:
         cost: cost-to-go of an exploration field at the robot, a number or an array [m].
     """
     return cost < 0.5 * LEFTOVER_DETOUR
-
-
-def _with_goal(source: Array, roads: Roadmap, goal: Position, is_explored: Flag) -> Array:
-    """Add the open nodes nearest to the goal to the sources; drop all others once explored."""
-    at_goal = roads.sources_at(goal) + GOAL_DETOUR
-    return jnp.minimum(jnp.where(is_explored, jnp.inf, source), at_goal)

@@ -155,15 +155,18 @@ class BeliefFields(eqx.Module):
     def _to_goal(self, grid: OccupancyGrid, pose: Pose) -> GuidanceField | None:
         if not self.is_goal_apart or self.goal is None:
             return None
-        return self.way_to(self.goal, grid, pose)
+        return self.way_to(self.goal, grid, pose, self.goal_heading)
 
-    def way_to(self, goal: Position, grid: OccupancyGrid, pose: Pose) -> GuidanceField:
+    def way_to(
+        self, goal: Position, grid: OccupancyGrid, pose: Pose, heading: Scalar | None = None
+    ) -> GuidanceField:
         """Return the cost-to-go to a goal; see `jaxplore.belief.goal_field`.
 
         Args:
             goal: goal position (x, y) [m].
             grid: the robot's map.
             pose: pose (x, y, yaw) of the robot [m, m, rad].
+            heading: heading at the goal [rad]; any when absent.
         """
         return goal_field(
             grid,
@@ -175,6 +178,7 @@ class BeliefFields(eqx.Module):
             max_clearance=self.max_clearance,
             stride=self.field_sensor.stride,
             start=pose[:2],
+            heading=heading,
         ).from_pose(pose)
 
     def _guided(
@@ -205,6 +209,7 @@ class BeliefFields(eqx.Module):
             min_information=self.min_information,
             stride=self.field_sensor.stride,
             goal=None if self.is_goal_apart else self.goal,
+            goal_heading=None if self.is_goal_apart else self.goal_heading,
             is_explored=is_known,
             start=pose[:2],
             claims=claims,

@@ -24,6 +24,7 @@ def goal_field(
     max_clearance: float,
     stride: int,
     start: Position | None = None,
+    heading: Scalar | None = None,
 ) -> GuidanceField:
     """Return the cost-to-go to a goal [m] and the direction of its descent.
 
@@ -48,6 +49,7 @@ def goal_field(
         max_clearance: upper bound of the clearance [m]; static.
         stride: number of cells between nodes; static.
         start: position (x, y) of the robot [m], see `Roadmap.field`.
+        heading: heading at the goal [rad]; any when absent.
     """
     solid = grid.is_occupied if blocked is None else grid.is_occupied | blocked
     clearance = clearance_field(solid, grid.frame, max_clearance)
@@ -64,4 +66,4 @@ def goal_field(
         lambda tightness: 1.0 + TIGHT * tightness**4,
         1.0 + unknown_factor * share,
     )
-    return roads.field(roads.sources_at(goal), start)
+    return roads.field(roads.sources_at(goal, heading), start)

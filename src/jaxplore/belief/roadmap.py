@@ -64,8 +64,16 @@ class Roadmap(eqx.Module):
         begin = point_sources(pose[:2], self.frame, self.is_passable, self.corners)
         return geodesic(begin, self.slowness, self.is_passable, self.corners)
 
-    def sources_at(self, point: Position) -> Float[Array, "H W"]:
-        """Return the sources (H, W) of paths that end at a point, see `point_sources` [m]."""
+    def sources_at(
+        self, point: Position, heading: Scalar | None = None
+    ) -> Float[Array, "*headings H W"]:
+        """Return the sources (H, W) of paths that end at a point, see `point_sources` [m].
+
+        Args:
+            point: position (x, y) [m].
+            heading: heading there [rad], which only a robot must drive for that cannot turn on the
+                spot; any when absent.
+        """
         return point_sources(point, self.frame, self.is_open, self.corners)
 
     @property

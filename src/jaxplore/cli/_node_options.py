@@ -116,7 +116,7 @@ def robot_options(command: Any) -> Any:
                 "--turning/--at-once",
                 default=False,
                 show_default=True,
-                help="Whether the lidar turns while the robot drives; else it measures all at once.",
+                help="Whether the lidar turns while the robot drives; else it measures at once.",
             ),
             click.option(
                 "--command-type",
