@@ -30,7 +30,7 @@ test: $(READY)
 test-all: test
 	$(PYTEST) -m long
 
-# Of both layers; of `make test` alone with `make coverage LAYER='-m "not long"' LEAST=85`.
+# Of both layers; of `make test` alone with `make coverage LAYER='-m "not long"' LEAST=91`.
 LAYER ?=
 LEAST ?= 90
 

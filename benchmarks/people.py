@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.setting import available_maps
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.exploration import GROUND
+from jaxplore.settings.exploration import ARCHITECTURES
 from jaxplore.simulation.loop import run_chunk
 from jaxplore.simulation.run import record_run
 
@@ -92,7 +92,7 @@ def main() -> None:
     """Measure, and print a line for each run and for each speed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--map", default="office", choices=sorted(SITES))
-    parser.add_argument("--architectures", nargs="+", choices=GROUND, default=["explorer"])
+    parser.add_argument("--architectures", nargs="+", choices=ARCHITECTURES, default=["explorer"])
     parser.add_argument("--speeds", nargs="+", type=float, default=SPEEDS)
     parser.add_argument("--people", type=int, default=8)
     parser.add_argument("--seeds", type=int, default=10)

@@ -7,8 +7,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.long
-
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 

@@ -14,8 +14,6 @@ from jaxplore.cli import main
 from jaxplore.cli._tune_entries import scenario_entries
 from jaxplore.study.tuning.study import Study
 
-pytestmark = pytest.mark.long
-
 QUICK = ("path", "--samples", "16", "--set", "controller.horizon=6", "--time-limit", "0.6")
 SEARCH = (
     *("tune", *QUICK, "--tune", "controller.temperature=1:300:log"),

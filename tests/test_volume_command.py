@@ -14,8 +14,6 @@ from jaxplore.cli import main
 from jaxplore.maps.files.volume_file import open_volume
 from jaxplore.settings.volume import GENERATED
 
-pytestmark = pytest.mark.long
-
 # As in the tests of volumes elsewhere, which run these programs too.
 FEW = (
     *("--samples", "128", "--set", "controller.horizon=20"),

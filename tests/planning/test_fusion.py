@@ -35,8 +35,6 @@ from jaxplore.planning import (
 )
 from jaxplore.planning.portfolio.fusion import select_member
 
-pytestmark = pytest.mark.long
-
 ROBOT = DifferentialDrive(radius=0.25)
 CONTROLS = np.array(
     [[[0.1, -0.2], [0.3, 0.4]], [[0.5, 0.6], [-0.7, 0.8]], [[-0.9, 0.2], [0.2, -0.3]]], np.float32

@@ -19,8 +19,6 @@ from jaxplore.ros.inputs import subscribe_pose
 from jaxplore.settings.node import NodeSettings, part_node
 from jaxplore.settings.ros_names import MOST_CHARACTERS, checked_namespace
 
-pytestmark = pytest.mark.long
-
 HERE = Path(__file__).parent
 ros = pytest.mark.skipif(
     importlib.util.find_spec("rclpy") is None, reason="ROS 2 (rclpy) is not installed"

@@ -17,8 +17,6 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import simulate
 
-pytestmark = pytest.mark.long
-
 LIDAR = jx.Lidar(num_beams=90, max_range=4.0, range_noise=0.01)
 ROBOT = jx.DifferentialDrive(max_speed=1.0)
 START, GOAL, ELSEWHERE = (1.0, 1.0, 0.3), (7.2, 4.8), (6.6, 1.2, 2.0)

@@ -33,8 +33,6 @@ from jaxplore.view.scene import linear_light
 from jaxplore.view.server import close_server, link, open_server
 from jaxplore.view.sliders import choose_knobs, slider_range
 
-pytestmark = pytest.mark.long
-
 KEY = jax.random.key(3)
 STEPS = 40
 WEIGHT = "cost.information.weight"

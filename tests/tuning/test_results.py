@@ -19,8 +19,6 @@ from jaxplore.study.tuning.pictures import figures
 from jaxplore.study.tuning.report import write_results
 from jaxplore.study.tuning.tune import compare_on_unseen
 
-pytestmark = pytest.mark.long
-
 START = {"a": 0.8, "b": 1.0}
 SPACE = Space((Parameter("a", 0.0, 1.0), Parameter("b", 0.1, 10.0, is_log=True)))
 
