@@ -74,6 +74,8 @@ def test_a_ros_path(tmp_path: Path) -> None:
         ("a.csv", "0,0\n1,one\n", "line 2 is '1,one'; accepted: numbers"),
         ("a.csv", "0,0\n1,2,3\n", "line 2 has 3 columns; accepted: 2"),
         ("a.csv", "1\n2\n", "line 1 has 1 columns"),
+        ("a.csv", "Lat, Lon\n48.1,11.5\n48.2,11.5\n", "columns 'Lat, Lon'; accepted: x, y"),
+        ("a.csv", "longitude;latitude\n11;48\n12;48\n", "accepted: x, y .m., in a projection"),
         ("a.csv", "0,0,1,1\n1,0,0,1\n2,1,1,1\n", "half_widths has a value 0.0"),
         ("a.yaml", "poses: []", r"has poses \[\]; accepted: a list"),
         ("a.yaml", "poses: [{pose: {position: {x: 0}}}]", r"poses\[0\] is"),

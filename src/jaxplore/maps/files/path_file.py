@@ -19,6 +19,8 @@ YAML_LIMIT = 1_000_000
 """Largest YAML file that is read [bytes]: about 5000 poses."""
 MOST_WAYPOINTS = 100_000
 """Greatest number of waypoints of a path."""
+DEGREES = ("lat", "lon", "lng")
+"""What names of columns begin with that are no metres."""
 COLUMNS = {
     2: "x, y",
     3: "x, y and a column that is not read",
@@ -37,7 +39,8 @@ def read_path(
 
     - `.csv`, `.txt`: one waypoint per row, x, y [m], separated by commas, semicolons or spaces.
       Four columns are x, y, free width to the right, free width to the left [m], as in the centre
-      lines of F1TENTH and TUM. `#` begins a comment, and a first row of column names is skipped.
+      lines of F1TENTH and TUM. `#` begins a comment, and a first row of column names is skipped;
+      names of latitudes and longitudes are refused.
     - `.yaml`, `.yml`: a ROS `nav_msgs/Path` as `ros2 topic echo` prints it: `poses`, each with
       `pose: position: x, y`, or with `position` itself. z and orientation are not read.
 
@@ -148,7 +151,13 @@ def _csv_rows(file: FilePath) -> np.ndarray:
             row = [float(cell) for cell in cells if cell.strip()]
         except ValueError:
             if not rows and not any(_is_number(cell) for cell in cells):
-                continue  # a row of column names
+                # Column names. Degrees read as metres would be a path of some micrometres.
+                if any(cell.strip().lower().startswith(DEGREES) for cell in cells):
+                    raise ValueError(
+                        f"{where} has the columns {short_repr(content)}; accepted: x, y [m], in a "
+                        "projection such as UTM"
+                    ) from None
+                continue
             raise ValueError(
                 f"{where}, line {number} is {short_repr(content)}; accepted: numbers"
             ) from None
