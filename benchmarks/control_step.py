@@ -22,7 +22,7 @@ class Sizes(NamedTuple):
 
 
 FULL = Sizes()
-SMOKE = Sizes(SMALL_OFFICE, SMALL, 5, 5, 3)
+SMOKE = Sizes(SMALL_OFFICE, SMALL, 25, 25, 3)
 TITLES = {
     "step": "The closed-loop step: K = 1000, T = 40",
     "parts": "The same, part by part",

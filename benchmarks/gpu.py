@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks import portfolio_step
 from benchmarks.control_problems import build, map_problem, quadrotor_problem, timed_step
 from benchmarks.portfolio_step import loop_of
 from benchmarks.setting import SMALL, SMALL_OFFICE, Site, available_sites, experiment
@@ -39,9 +40,7 @@ class Sizes(NamedTuple):
     site: Site = available_sites()[0]
     changes: dict[str, Any] = {}  # noqa: RUF012
     chunk: int = 50
-    members: int = 8
-    member_samples: int = 1000
-    member_horizon: int = 30
+    portfolio: portfolio_step.Sizes = portfolio_step.FULL._replace(counts=(8,))
     steps: int = 500
     runs: int = 300
     cpu_steps: int = 300
@@ -60,9 +59,7 @@ SMOKE = Sizes(
     site=SMALL_OFFICE,
     changes=SMALL,
     chunk=25,
-    members=1,
-    member_samples=8,
-    member_horizon=4,
+    portfolio=portfolio_step.SMOKE,
     steps=25,
     runs=4,
     cpu_steps=25,
@@ -177,14 +174,12 @@ def _exploration(sizes: Sizes) -> Rows:
 
 def _portfolio(sizes: Sizes) -> dict[str, Any]:
     """The step of the section `portfolio`, for which 200 Hz are wanted."""
-    loop = loop_of(sizes.members, sizes.member_samples, sizes.member_horizon)
+    members, samples, horizon = sizes.portfolio.counts[0], *sizes.portfolio[1:3]
+    loop = loop_of(members, samples, horizon, sizes.portfolio.place, sizes.portfolio.chunk)
     compiling = loop.run(0)
     loop.run(loop.chunk)
     single = [loop.run(1) for _ in range(sizes.steps)]
-    name = (
-        f"a step of a portfolio, N = {sizes.members}, "
-        f"K = {sizes.member_samples}, T = {sizes.member_horizon}"
-    )
+    name = f"a step of a portfolio, N = {members}, K = {samples}, T = {horizon}"
     return _row(name, single, compiling, 5.0)
 
 
@@ -194,4 +189,5 @@ def measure_times(given: dict[str, Any]) -> dict[str, Any]:
     Args:
         given: sizes, as JSON holds them.
     """
-    return {"times": _times(Sizes(**{**given, "site": Site(*given["site"])}))}
+    site, portfolio = Site(*given["site"]), portfolio_step.Sizes(*given["portfolio"])
+    return {"times": _times(Sizes(**{**given, "site": site, "portfolio": portfolio}))}

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.control_peers import PEERS, PYTHONS, run_peer
+from benchmarks.setting import OFFICE, SMALL, experiment
 from benchmarks.tables import Rows
 from benchmarks.timing import timed
 from jaxplore import (
@@ -21,14 +22,9 @@ from jaxplore import (
     OccupancyGrid,
     PoseInformation,
     TrajectoryInformation,
-    explorer,
-    office,
-    start_pose,
 )
-from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.information import GaussianNoise, LocalFieldSensor
 from jaxplore.information.trajectory import METHODS
-from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 RESOLUTION, RANGE = 0.1, 5.0
@@ -48,8 +44,7 @@ class Sizes(NamedTuple):
     position: tuple[float, float] = (9.33, 7.81)
     window: int = 100
     scans: int = 300
-    controller: dict[str, Any] = {}  # noqa: RUF012
-    lidar: dict[str, Any] = {"max_range": RANGE}  # noqa: RUF012
+    changes: dict[str, Any] = {"lidar": {"max_range": RANGE}, "guard": False}  # noqa: RUF012
     capacity: int = 50
     """Steps for which a call of the exploration's loop has room."""
     noises: tuple[str, ...] = tuple(NOISES)
@@ -73,9 +68,7 @@ SMOKE = Sizes(
     position=(4.0, 3.5),
     window=40,
     scans=6,
-    # The loop of `benchmarks.setting.SMALL`.
-    controller={"num_samples": 64},
-    lidar={"num_beams": 90, "max_range": 4.0},
+    changes=SMALL,
     capacity=25,
     noises=("noise-free",),
     beams=4,
@@ -115,13 +108,9 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
 
 def _exploration(sizes: Sizes) -> list[OccupancyGrid]:
     """Return what a robot knows after each of its first scans in an office."""
-    world = office(seed=5, width=sizes.width, height=sizes.height, resolution=RESOLUTION)
-    robot = DifferentialDrive()
-    scenario = ExplorationScenario(
-        world, robot, Lidar(**sizes.lidar, range_noise=0.02), start=start_pose(world)
-    )
-    controller = explorer(robot, **sizes.controller).at_period(scenario.control_period)
-    key = jax.random.key(0)
+    size = {"width": sizes.width, "height": sizes.height, "seed": 5}
+    changes = {**sizes.changes, "office": size, "resolution": RESOLUTION}
+    controller, scenario, _, key = experiment(OFFICE, **changes)
     state = initial_loop_state(controller, scenario, key)
     beliefs = []
     for _ in range(sizes.scans):
@@ -176,7 +165,7 @@ def _correlation(
 
 def _fields(beliefs: list[OccupancyGrid], position: jax.Array, sizes: Sizes) -> Rows:
     """Whole fields, windows and updates after each scan, at 5 m."""
-    model, lidar = InverseSensorModel(), Lidar(**sizes.lidar, range_noise=0.02)
+    model, lidar = InverseSensorModel(), Lidar(**sizes.changes["lidar"], range_noise=0.02)
     grid = beliefs[len(beliefs) // 3]
     window = [_cut(belief, sizes.window) for belief in beliefs]
     rows = []
