@@ -1,5 +1,5 @@
-# Everything a newcomer needs: `make demo` and `make test` set themselves up. `make test-all` is
-# `make test` and the files of tests that compile much, which have the mark `long`.
+# Everything a newcomer needs: `make demo` and `make test` set themselves up. `make test-all` does what
+# `make test` does, and runs the files of tests that compile much too, which have the mark `long`.
 PYTHON ?= $(shell command -v python3.13 || command -v python3.12 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
@@ -18,20 +18,18 @@ test test-all coverage: export PYTHONDONTWRITEBYTECODE =
 demo: $(READY)
 	$(BIN)/python examples/demo.py
 
-test: $(READY)
+test: LAYER = -m "not long"
+test-all: LAYER =
+test test-all: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	@# Without its cache mypy takes a minute of one core: beside the tests, and told after them.
 	@mkdir -p .mypy_cache; $(BIN)/mypy > .mypy_cache/last.txt 2>&1 & types=$$!; \
-	echo '$(PYTEST) -m "not long"'; $(PYTEST) -m "not long"; tests=$$?; \
+	echo '$(PYTEST) $(LAYER)'; $(PYTEST) $(LAYER); tests=$$?; \
 	wait $$types; types=$$?; echo "$(BIN)/mypy"; cat .mypy_cache/last.txt; exit $$((tests | types))
 
-test-all: test
-	$(PYTEST) -m long
-
 # Of both layers; of `make test` alone with `make coverage LAYER='-m "not long"' LEAST=91`.
-LAYER ?=
 LEAST ?= 90
 
 coverage: $(READY)

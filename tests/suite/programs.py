@@ -69,6 +69,11 @@ class FileCost:
         self.is_long |= other.is_long
 
     @property
+    def layer(self) -> str:
+        """Layer of the file."""
+        return "long" if self.is_long else "not long"
+
+    @property
     def instructions(self) -> int:
         """Instructions of its large programs; those of closed loops have a budget of their own."""
         counted = (each for each in self.programs.values() if not each.is_of_loop)
@@ -141,7 +146,7 @@ class Count:
                 name: (cost.seconds, cost.compiling, cost.is_long, _packed(cost.programs))
                 for name, cost in self.files.items()
             }
-        elif self.files and self.complaints(config) and session.exitstatus == pytest.ExitCode.OK:
+        elif self.files and self.complaints() and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     @pytest.hookimpl(optionalhook=True)
@@ -155,24 +160,26 @@ class Count:
             cost.programs = {key: Program(*each) for key, *each in programs}
             self.files[name].add(cost)
 
-    @property
-    def programs(self) -> dict[str, Program]:
-        """All programs."""
-        return {key: each for cost in self.files.values() for key, each in cost.programs.items()}
+    def programs_of(self, *layers: str) -> dict[str, Program]:
+        """Return the programs of the files of layers."""
+        costs = [each for each in self.files.values() if each.layer in layers]
+        return {key: each for cost in costs for key, each in cost.programs.items()}
 
-    def complaints(self, config: pytest.Config) -> list[str]:
+    def complaints(self) -> list[str]:
         """Return which budgets are passed."""
-        layer = config.option.markexpr
-        programs = self.programs.values()
-        said = [
-            f"the layer `{layer}` compiles {number} {kind}; at most {most[layer]}: share programs "
-            "(CONTRIBUTING.md, Tests), or raise the budget in tests/suite/programs.py with a reason"
-            for number, kind, most in (
-                (sum(each.is_large for each in programs), "large programs", MOST_LARGE),
-                (sum(each.is_loop for each in programs), "closed loops", MOST_LOOPS),
-            )
-            if layer in most and number > most[layer]
-        ]
+        said = []
+        for layer in MOST_LARGE:
+            programs = self.programs_of(layer).values()
+            said += [
+                f"the layer `{layer}` compiles {number} {kind}; at most {most[layer]}: share "
+                "programs (CONTRIBUTING.md, Tests), or raise the budget in "
+                "tests/suite/programs.py with a reason"
+                for number, kind, most in (
+                    (sum(each.is_large for each in programs), "large programs", MOST_LARGE),
+                    (sum(each.is_loop for each in programs), "closed loops", MOST_LOOPS),
+                )
+                if number > most[layer]
+            ]
         said += [
             f"{name} compiles {cost.instructions} instructions in large programs; at most "
             f"{MOST_IN_FILE} without the line `pytestmark = pytest.mark.long`"
@@ -181,13 +188,13 @@ class Count:
         ]
         return said
 
-    def pytest_terminal_summary(self, terminalreporter: Any, config: pytest.Config) -> None:
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Print the counts."""
         if not self.files:
             return
         write = terminalreporter.write_line
         terminalreporter.section("what was compiled")
-        programs = self.programs.values()
+        programs = self.programs_of(*MOST_LARGE).values()
         seconds = sum(cost.seconds for cost in self.files.values())
         compiling = sum(cost.compiling for cost in self.files.values())
         large, loops = (
@@ -207,7 +214,7 @@ class Count:
                 f"{cost.seconds:5.1f}  {cost.compiling:9.1f}  {large:5d}  {cost.instructions:12d}"
                 f"  {name}"
             )
-        for said in self.complaints(config):
+        for said in self.complaints():
             terminalreporter.write_line(said, red=True)
 
 

@@ -1,7 +1,5 @@
 """The count of programs sees what is compiled, and says which budget is passed."""
 
-import types
-
 import jax
 import numpy as np
 import pytest
@@ -45,19 +43,18 @@ def cost(number: int, instructions: int, name: str = "jit_step", *, is_long=Fals
         ({"a": cost(2, LARGE, "jit_run_chunk")}, ["2 closed loops; at most 1"]),
         ({"a": cost(1, 2001)}, ["a compiles 2001 instructions in large programs; at most 2000"]),
         ({"a": cost(1, 2001, is_long=True)}, []),
+        # Each layer has its own budgets, also when both run.
+        ({"a": cost(3, LARGE), "b": cost(5, LARGE, "jit_look", is_long=True)}, []),
+        ({"a": cost(6, LARGE, is_long=True)}, ["`long` compiles 6 large programs; at most 5"]),
     ],
 )
 def test_a_budget_that_is_passed_is_named(monkeypatch, files, said) -> None:
-    monkeypatch.setattr(programs, "MOST_LARGE", {"not long": 3})
-    monkeypatch.setattr(programs, "MOST_LOOPS", {"not long": 1})
+    monkeypatch.setattr(programs, "MOST_LARGE", {"not long": 3, "long": 5})
+    monkeypatch.setattr(programs, "MOST_LOOPS", {"not long": 1, "long": 1})
     monkeypatch.setattr(programs, "MOST_IN_FILE", 2000)
     count = Count()
     count.files.update(files)
-    config = types.SimpleNamespace(option=types.SimpleNamespace(markexpr="not long"))
-    found = count.complaints(config)
+    found = count.complaints()
     assert len(found) == len(said)
     for line, wanted in zip(found, said, strict=True):
         assert wanted in line
-    # A part of the suite has no budget of a layer.
-    config.option.markexpr = ""
-    assert all("layer" not in line for line in count.complaints(config))
