@@ -72,7 +72,7 @@ def test_at_a_goal_every_motion_costs_that_a_robot_must_stop(belief, robot) -> N
         return float(cost.stage(state, control, jnp.asarray(0.1), home))
 
     still = price("x", 4.0)
-    for name in set(robot.state_names) & {"v", "vx", "vy", "vz", "omega", "wx", "wy", "wz"}:
+    for name in sorted(set(robot.state_names) & {"v", "vx", "vy", "vz", "omega", "wx", "wy", "wz"}):
         turns = name not in {"v", "vx", "vy", "vz"}
         squared = (0.5 * 0.2) ** 2 if turns else 0.2**2
         # On the ground the distance by which the goal would be overrun is paid as well.

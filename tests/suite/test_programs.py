@@ -19,7 +19,7 @@ def test_a_program_counts_once_with_all_its_operations(request: pytest.FixtureRe
     for _ in range(2):
         jax.clear_caches()
         assert jax.jit(long_sum)(np.float32(1.0)) == 0.0
-    named = [count.compiled[key] for key in set(count.compiled) - before]
+    named = [count.compiled[key] for key in count.compiled if key not in before]
     (found,) = (each for each in named if each.name == "jit_long_sum")
     # A constant and a multiplication a turn, beside what holds them.
     assert 2 * LARGE <= found.instructions <= 2 * LARGE + 10

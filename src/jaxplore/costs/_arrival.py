@@ -111,6 +111,8 @@ def _squared_motion(state: State) -> Scalar:
     total = state.squared_speed
     if "vz" in names:
         total = total + state["vz"] ** 2
-    for name in {"omega", "wx", "wy", "wz"} & set(names):
-        total = total + (ARM * state[name]) ** 2
+    # In the order of the state: that of a set would be another program in each process.
+    for name in names:
+        if name in ("omega", "wx", "wy", "wz"):
+            total = total + (ARM * state[name]) ** 2
     return total

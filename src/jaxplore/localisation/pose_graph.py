@@ -119,7 +119,9 @@ def motion_covariances(graph: Graph, nodes: Sequence[int], end: int) -> np.ndarr
     # How exactly the first pose is known does not matter to motions; known as good as exactly, the
     # joint covariance would be that of a singular matrix.
     factors, values = _problem(library, graph, library.noiseModel.Isotropic.Sigma(3, 0.01))
-    joint = library.Marginals(factors, values).jointMarginalCovariance([*{*nodes, end}])
+    joint = library.Marginals(factors, values).jointMarginalCovariance(
+        [*dict.fromkeys((*nodes, end))]
+    )
     last, of_end = values.atPose2(end), joint.at(end, end)
     covariances = []
     for node in nodes:

@@ -173,7 +173,7 @@ def _with_shapes(
     }
     resolutions = {name: each.resolution for name, each in settings.items()}
     reading = arguments(settings[episodes[0].explorer].map_file, OccupancyGrid.from_ros)
-    grids = {each: read_grids(maps, each, reading) for each in set(resolutions.values())}
+    grids = {each: read_grids(maps, each, reading) for each in dict.fromkeys(resolutions.values())}
     shapes = {
         each: common_shapes({name: grid.shape for name, grid in found.items()}, MOST_SHAPES)
         for each, found in grids.items()
