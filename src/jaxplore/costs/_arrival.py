@@ -3,8 +3,10 @@
 import jax.numpy as jnp
 
 from jaxplore._types import Position, Scalar
+from jaxplore.belief.car_roads import CarGuidance
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.costs._distance import offset
+from jaxplore.costs._manoeuvre import REACH, manoeuvre
 from jaxplore.dynamics.base import State
 from jaxplore.dynamics.goal_check import ARM
 from jaxplore.geometry.angles import sin_cos
@@ -22,6 +24,9 @@ DETOUR, SLACK = 2.0, 0.5
 Ways count double where they are narrow."""
 FADING = 0.3
 """Distance from the goal below which the direction of motion counts less [m]."""
+ROUND = 1.0
+"""Cost by which the way of a car along a field is longer than in free space before it counts [m].
+Read between the poses of a lattice, a field is not exact, and its ways end at those poses."""
 SETTLING = 0.3
 """Cost of a squared speed at the goal, so that a robot comes to rest there [s^2/m]."""
 HEADING, TURNING_REACH = 0.3, 0.4
@@ -74,6 +79,9 @@ def homing_cost(
     distance and the way are those of the straight line, as the nodes of a field are coarser than
     the radius of a goal. A heading at the goal adds `0.3 exp(-(d / 0.4)^2) |turn| / pi`.
 
+    A car that can reverse comes to a goal with a heading by `manoeuvre` instead: see
+    `_parking_cost`.
+
     Args:
         state: state of the robot.
         field: cost-to-go to the goal.
@@ -82,6 +90,8 @@ def homing_cost(
         heading: heading at the goal [rad]; any when None.
         turning: cost of facing sideways [m].
     """
+    if heading is not None and isinstance(field, CarGuidance) and field.roads.can_reverse:
+        return _parking_cost(state, field, to_go, goal, heading)
     position, yaw, dynamics = state.position, state.heading, state.dynamics
     x, y = (-each for each in offset(state, goal))
     distance = length(x, y)
@@ -103,6 +113,30 @@ def homing_cost(
         return total
     turn = jnp.abs(jnp.arctan2(*sin_cos(yaw - heading))) / jnp.pi
     return total + HEADING * jnp.exp(-((distance / TURNING_REACH) ** 2)) * turn
+
+
+def _parking_cost(
+    state: State, field: CarGuidance, to_go: Scalar, goal: Position, heading: Scalar
+) -> Scalar:
+    """Return the cost of a car of driving to a goal with a heading and coming to rest there [m].
+
+    Within 0.9 m of the goal it is `with_overrun` of
+
+        max(way, to_go - 1 m)
+
+    with `way` the cost of the manoeuvre in free space. The cost-to-go counts where walls make it
+    much longer. A mere choice between both would have a step, and the car would stand before it.
+    """
+    x, y = offset(state, goal)
+    sin, cos = sin_cos(heading)
+    radius = field.roads.radius * field.frame.resolution
+    pose = (cos * x + sin * y, cos * y - sin * x, state.heading - heading)
+    way = manoeuvre(radius, *pose, state.speed)
+    inside = (REACH - length(x, y)) / FADING
+    share = jnp.where(inside > 0.0, jnp.minimum(inside, 1.0), 0.0)
+    near = jnp.maximum(way, to_go - ROUND)
+    total = with_overrun(state, to_go + share * (near - to_go))
+    return total + SETTLING * jnp.exp(-((way / FADING) ** 2)) * _squared_motion(state)
 
 
 def _squared_motion(state: State) -> Scalar:

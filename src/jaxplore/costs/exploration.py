@@ -68,7 +68,7 @@ class GuidanceCost(Cost):
 
     Where the belief has a goal that is next (`is_explored`), the robot shall come to rest there:
     the distance by which it would overrun the goal counts twice, and the last 0.75 m are a straight
-    line, 0.3 m for a car.
+    line, 0.3 m for a car; to a heading, a car drives the manoeuvre that is cheapest in free space.
 
     Args:
         turning: cost of facing sideways [m].
