@@ -283,7 +283,7 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     jx.planning.avoidance_cost: set(),
     jx.race_track: set(),
     jx.office: set(),
-    jx.Lidar: {"errors"},
+    jx.Lidar: {"errors", "mount"},
     jx.Camera: set(),
     jx.belief.IdlenessMap: set(),
     jx.belief.Recognition: {"detector"},

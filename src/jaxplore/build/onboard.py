@@ -66,7 +66,27 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
     # The office stands in for the map: a robot finds its own.
     # The guard is that of a simulated robot: a pilot has its own checks.
     settings = make_exploration_settings({**given, "map": OFFICE, "guard": False})
+    check_no_mount(settings, "node.lidar_x, node.lidar_y and node.lidar_yaw_degrees")
     return settings, node
+
+
+def check_no_mount(settings: Settings, others: str) -> None:
+    """Check that settings have no mount of the lidar of a compiled simulation.
+
+    Args:
+        settings: the settings.
+        others: what says where the lidar is instead.
+
+    Raises:
+        ValueError: a place of the lidar beside the robot's centre, or one that turns.
+    """
+    for name in ("x", "y", "yaw_degrees", "is_turning"):
+        value = getattr(settings.lidar, name)
+        if value:
+            raise ValueError(
+                f"setting lidar.{name} is {value}, which is for `jaxplore run`; accepted: "
+                f"{type(value)()}, beside {others}"
+            )
 
 
 def build_goal_chooser(settings: Settings) -> GoalChooser:

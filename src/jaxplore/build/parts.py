@@ -33,6 +33,7 @@ from jaxplore.sensing.detector import Detector
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.lidar_errors import LidarErrors
+from jaxplore.sensing.mount import LidarMount
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import DetectorSettings, Settings
 from jaxplore.settings.own import is_own
@@ -236,7 +237,9 @@ def build_sensors(settings: Settings) -> tuple[Sensor, ...]:
     tilt = {name: math.radians(getattr(given, f"{name}_degrees")) for name in ("pitch", "roll")}
     numbers = {**arguments(given, LidarErrors), **tilt}
     errors = LidarErrors(**numbers) if any(numbers.values()) else None
-    lidar = Lidar(**{**arguments(given, Lidar), "field_of_view": view}, errors=errors)
+    place = {**arguments(given, LidarMount), "yaw": math.radians(given.yaw_degrees)}
+    mount = LidarMount(**place) if any(place.values()) else None
+    lidar = Lidar(**{**arguments(given, Lidar), "field_of_view": view}, errors=errors, mount=mount)
     if camera is None:
         return (lidar,)
     views = {

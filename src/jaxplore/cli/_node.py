@@ -12,7 +12,12 @@ import jax
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import LONGEST_LATENCY
 from jaxplore._signals import stop_requests
-from jaxplore.build.onboard import build_goal_chooser, build_pilot, make_node_settings
+from jaxplore.build.onboard import (
+    build_goal_chooser,
+    build_pilot,
+    check_no_mount,
+    make_node_settings,
+)
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
@@ -29,6 +34,7 @@ from jaxplore.report.table import print_table
 from jaxplore.ros import control, goal, robot
 from jaxplore.ros.link import connected
 from jaxplore.ros.replay import replay, replay_topics
+from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.node import NodeSettings
@@ -40,8 +46,6 @@ from jaxplore.simulation.run import Run
 
 _MOST = {"delay": LONGEST_LATENCY, "drift": 1.0}
 """Greatest values of options of the simulated robot."""
-MOST_MOUNT = 10.0
-"""Greatest distance of a simulated lidar from the centre of its robot [m]."""
 COMMANDS = "commands.csv"
 """File of a run folder with the velocity commands of a drive."""
 
@@ -248,6 +252,8 @@ def simulate_robot(options: dict[str, Any]) -> None:
     check_memory([make_settings(given)], limit)
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
+    if isinstance(settings, Settings):
+        check_no_mount(settings, "--mount and --turning")
     folder = free_name(Path("runs") / f"{folder_name(entries)}-robot") if out is None else out
     reserve(folder, overwrite=overwrite)
     experiment = build(settings)

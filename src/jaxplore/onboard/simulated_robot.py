@@ -22,6 +22,7 @@ from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Frame
 from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.lidar import Lidar
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.progress import map_progress, observed
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -78,7 +79,7 @@ class SimulatedRobot:
 
     Raises:
         ValueError: an argument of another class; a negative delay or drift; a watchdog that is not
-            positive.
+            positive; a lidar of the scenario with a mount of its own.
     """
 
     def __init__(
@@ -94,6 +95,12 @@ class SimulatedRobot:
     ) -> None:
         _kinds.instance("scenario", scenario, ExplorationScenario)
         _kinds.key("key", key)
+        first = scenario.sensors[0]
+        if isinstance(first, Lidar) and first.mount is not None:
+            raise ValueError(
+                "the lidar of the scenario has a mount; accepted: none, but the arguments mount "
+                "and is_turning"
+            )
         self.scenario, self._key = scenario.with_target_coverage(), key
         self.period = scenario.period
         periods = round(_checks.number("delay", delay, at_least=0.0) / self.period)

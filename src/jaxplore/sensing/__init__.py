@@ -11,6 +11,7 @@ from jaxplore.sensing.laser_log import LaserLog as LaserLog
 from jaxplore.sensing.laser_log import read_laser_log as read_laser_log
 from jaxplore.sensing.lidar import Lidar as Lidar
 from jaxplore.sensing.lidar_errors import LidarErrors as LidarErrors
+from jaxplore.sensing.mount import LidarMount as LidarMount
 from jaxplore.sensing.volume import DepthCamera as DepthCamera
 from jaxplore.sensing.volume import RingLidar as RingLidar
 from jaxplore.sensing.volume import VolumeScan as VolumeScan

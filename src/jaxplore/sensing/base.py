@@ -61,6 +61,12 @@ class Sensor(Beams):
     def __repr__(self) -> str:
         return describe_fields(self)
 
+    @property
+    def clear_range(self) -> float | Scalar:
+        """Range from which on a beam without a return met nothing [m]. A shorter one ended at a
+        moving obstacle."""
+        return self.max_range - 1e-3
+
     @abc.abstractmethod
     def stops(
         self,
@@ -118,8 +124,9 @@ class Sensor(Beams):
         *,
         key: Key,
         ground: Ground | None = None,
-        movers: Float[Array, "M 3"] | None = None,
+        movers: Float[Array, "M *D 3"] | None = None,
         is_told: bool = True,
+        starts: Float[Array, "B 3"] | None = None,
     ) -> Scan:
         """Simulate a scan of a world.
 
@@ -135,9 +142,10 @@ class Sensor(Beams):
                 far below for a lidar.
             movers: moving obstacles, discs (M, 3) as (x, y, radius) [m], taller than the view. A
                 beam that meets one before anything else ends there, at range 0 inside it. A disc of
-                radius 0 is ignored.
+                radius 0 is ignored. (M, B, 3) for discs that are elsewhere for each beam.
             is_told: whether such a beam has no return, which tells that it ended at a moving
                 obstacle. No lidar tells; it is for truth that is handed to the robot.
+            starts: (B, 3) pose of the sensor for each beam, where it is not that of the robot.
 
         Raises:
             ValueError: a ground of another shape or resolution than the world, an argument of
@@ -148,8 +156,12 @@ class Sensor(Beams):
         _kinds.key("key", key)
         pose = _checks.pose("pose", pose)
         if movers is not None:
-            movers = _checks.shaped("movers", movers, ("M", 3))
-        cells = self._cells(world, pose)
+            movers = _checks.shaped("movers", movers, ("M", 3), ("M", self.num_beams, 3))
+        place, turn = pose[:2], pose[2]
+        if starts is not None:
+            starts = _checks.shaped("starts", starts, (self.num_beams, 3))
+            place, turn = starts[:, :2], starts[:, 2]
+        cells = self._cells(world, place, turn)
         solid = cells.is_crossed & (world.at_cell(cells.cell) >= FREE_THRESHOLD)
         rise = self._rise(cells, pose, world, ground)
         stops, ends = self.stops(cells, solid, rise, world.resolution)
@@ -158,8 +170,8 @@ class Sensor(Beams):
         # beam before, which for a camera includes ground that gives no return.
         is_mover = None
         if movers is not None:
-            angles = pose[2] + jnp.asarray(self.beam_angles)
-            disc = disc_distance(pose[:2], angles, movers)
+            angles = turn + jnp.asarray(self.beam_angles)
+            disc = disc_distance(place, angles, movers)
             is_mover = disc < first_entry(cells, ends, world.resolution)
             first = jnp.where(is_mover, disc, first)
         is_met = first < self.max_range
@@ -207,7 +219,7 @@ class Sensor(Beams):
         _kinds.instance("ground", ground, Ground, may_be_none=True)
         pose = _checks.pose("pose", pose)
         resolution = grid.resolution
-        cells = self._cells(grid, pose)
+        cells = self._cells(grid, pose[:2], pose[2])
         rise = self._rise(cells, pose, grid, ground)
         # The small constant keeps a noise-free reading from rounding into the cell in front.
         margin = jnp.minimum(2.0 * self.range_noise, 0.5 * resolution) / resolution + 1e-3
@@ -311,9 +323,11 @@ class Sensor(Beams):
         is_shown = (is_target & shown).any(axis=-1)
         return is_shown & in_view & (distance <= self.max_range) & world.contains(target)
 
-    def _cells(self, grid: OccupancyGrid, pose: Pose) -> RayCells:
-        turn = pose[2] - grid.frame.origin[2]
-        return fan(grid, pose[:2], turn + jnp.asarray(self.beam_angles), self.max_range)
+    def _cells(
+        self, grid: OccupancyGrid, place: Float[Array, "*S 2"], turn: Float[Array, "*S"]
+    ) -> RayCells:
+        angles = turn - grid.frame.origin[2] + jnp.asarray(self.beam_angles)
+        return fan(grid, place, angles, self.max_range)
 
     def _rise(
         self, cells: RayCells, pose: Pose, grid: OccupancyGrid, ground: Ground | None

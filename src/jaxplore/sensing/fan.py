@@ -9,24 +9,28 @@ from jaxtyping import Bool, Float
 
 from jaxplore import _checks
 from jaxplore._limits import LONGEST_RANGE
-from jaxplore._types import Position
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 
 def fan(
-    grid: OccupancyGrid, position: Position, angles: Float[Array, " B"], max_range: float
+    grid: OccupancyGrid,
+    position: Float[Array, "*S 2"],
+    angles: Float[Array, " B"],
+    max_range: float,
 ) -> RayCells:
     """Return the cells that rays cross, nearest first: `RayCells` with a leading axis B.
 
     Args:
         grid: occupancy grid that is traversed; its probabilities are not read.
-        position: start (x, y) of the rays in the world [m].
+        position: start (x, y) of the rays in the world, or (B, 2) that of each [m].
         angles: directions (B,) in the grid's frame [rad].
         max_range: length of the rays [m]; static. All cells entered within it are returned.
     """
     start = grid.frame.to_grid(position)
     length = max_range / grid.resolution
+    if start.ndim == 2:
+        return jax.vmap(lambda place, angle: traverse(place, angle, length))(start, angles)
     return jax.vmap(lambda angle: traverse(start, angle, length))(angles)
 
 
@@ -45,7 +49,7 @@ def first_entry(
 
 
 def disc_distance(
-    position: Position, angles: Float[Array, " B"], discs: Float[Array, "M 3"]
+    position: Float[Array, "*S 2"], angles: Float[Array, " B"], discs: Float[Array, "M *D 3"]
 ) -> Float[Array, " B"]:
     """Return the distance along each ray to the first of M discs [m].
 
@@ -58,14 +62,15 @@ def disc_distance(
     or with a value that is not finite is ignored.
 
     Args:
-        position: start (x, y) of the rays [m].
+        position: start (x, y) of the rays, or (B, 2) that of each [m].
         angles: directions (B,) of the rays [rad].
-        discs: discs (M, 3) as (x, y, radius) [m]; M may be 0.
+        discs: discs (M, 3) as (x, y, radius) [m], or (M, B, 3) where each ray meets them; M may be
+            0.
     """
-    x, y, radius = (
-        column[:, None]
-        for column in (discs[:, 0] - position[0], discs[:, 1] - position[1], discs[:, 2])
-    )
+    if discs.ndim == 2:
+        discs = discs[:, None]
+    x, y = discs[..., 0] - position[..., 0], discs[..., 1] - position[..., 1]
+    radius = discs[..., 2]
     cos, sin = jnp.cos(angles), jnp.sin(angles)
     along = x * cos + y * sin
     square = radius**2 - (x * sin - y * cos) ** 2

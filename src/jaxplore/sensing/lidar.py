@@ -1,6 +1,7 @@
 """Simulate a planar lidar with level beams over a circle or a sector."""
 
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,14 +16,21 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.fan import checked_range, checked_view, first_entry
 from jaxplore.sensing.lidar_errors import LidarErrors
+from jaxplore.sensing.mount import LidarMount
 
 NEAR_GROUND = 3.0
 """Standard deviations before higher ground within which a reading is taken for the ground. With
 two, one reading in fifty would count as an obstacle, and a hill covers many cells."""
+MOST_DRIVE = 0.3
+"""Distance that a robot drives at most while its lidar turns [m]."""
 
 
 class Lidar(Sensor):
-    """Planar lidar at the robot's centre.
+    """Planar lidar at the robot's centre, or with a mount.
+
+    The simulation measures where the lidar is by its mount, and hands the robot a scan around its
+    centre (`sensing.mount.project_scan`). `scan`, `sight`, and all that predicts scans, take the
+    sensor to be at the pose that they are given.
 
     On a `Ground` its beams are level, at
 
@@ -41,6 +49,8 @@ class Lidar(Sensor):
         height: height of the beams above the ground on which the robot stands [m]; used only with a
             ground, and for the floor that a tilted lidar sees.
         errors: least range, missing and false returns, and a tilt; none when absent.
+        mount: pose of the lidar on the robot, and whether it turns; at the centre, and at once,
+            when absent.
 
     Raises:
         ValueError: no beams, a range or a height that is not positive, a field of view outside
@@ -53,6 +63,7 @@ class Lidar(Sensor):
     range_noise: Scalar
     height: Scalar
     errors: LidarErrors | None
+    mount: LidarMount | None
 
     def __init__(
         self,
@@ -62,6 +73,7 @@ class Lidar(Sensor):
         range_noise: ArrayLike = 0.02,
         height: ArrayLike = 0.5,
         errors: LidarErrors | None = None,
+        mount: LidarMount | None = None,
     ) -> None:
         self.num_beams = _checks.positive_int("num_beams", num_beams, at_most=MOST_BEAMS)
         self.max_range = checked_range("max_range", max_range)
@@ -69,13 +81,26 @@ class Lidar(Sensor):
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
         self.height = _checks.scalar("height", height, above=0.0)
         _kinds.instance("errors", errors, LidarErrors, may_be_none=True)
-        self.errors = errors
+        _kinds.instance("mount", mount, LidarMount, may_be_none=True)
+        self.errors, self.mount = errors, mount
+
+    @property
+    def clear_range(self) -> float | Scalar:
+        """Range from which on a beam without a return met nothing [m]."""
+        least = self.max_range - 1e-3
+        if self.mount is None:
+            return least
+        # The end of a beam that met nothing is nearer to the centre than to the lidar.
+        drive = MOST_DRIVE if self.mount.is_turning else 0.0
+        return least - drive - jnp.hypot(self.mount.x, self.mount.y)
 
     def degrade(self, scan: Scan, key: Key) -> Scan:
         """Return a simulated scan with the errors of the lidar."""
         if self.errors is None:
             return scan
         angles = jnp.asarray(self.beam_angles)
+        if self.mount is not None:
+            angles = angles + self.mount.yaw
         return self.errors.apply(scan, angles, self.height, self.max_range, key)
 
     def stops(
@@ -123,3 +148,9 @@ class Lidar(Sensor):
 
 def _is_higher(cells: RayCells, rise: Float[Array, "B N"]) -> Bool[Array, "B N"]:
     return cells.is_crossed & (rise > 0.0)
+
+
+def is_any_turning(sensors: Sequence[Sensor]) -> bool:
+    """Return whether a sensor is a lidar that turns while the robot drives."""
+    mounts = [each.mount for each in sensors if isinstance(each, Lidar)]
+    return any(each is not None and each.is_turning for each in mounts)

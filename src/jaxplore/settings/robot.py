@@ -13,6 +13,7 @@ from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.lidar_errors import LidarErrors
+from jaxplore.sensing.mount import MOST_MOUNT, LidarMount
 from jaxplore.settings.defaults import in_degrees, setting
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.sections import (
@@ -86,8 +87,12 @@ class ChassisSettings(Section):
     suspension: Body = setting(Chassis, "suspension")
 
 
+MountLength = Annotated[float, Field(ge=-MOST_MOUNT, le=MOST_MOUNT)]
+
+
 class LidarSettings(Section):
-    """A planar lidar: see `jaxplore.Lidar` and `jaxplore.sensing.LidarErrors`."""
+    """A planar lidar: see `jaxplore.Lidar`, `jaxplore.sensing.LidarErrors` and
+    `jaxplore.sensing.LidarMount`."""
 
     num_beams: Beams = setting(Lidar, "num_beams")
     max_range: Range = setting(Lidar, "max_range")
@@ -101,6 +106,10 @@ class LidarSettings(Section):
     false_returns: Fraction = setting(LidarErrors, "false_returns")
     pitch_degrees: TiltDegrees = setting(LidarErrors, "pitch", in_degrees)
     roll_degrees: TiltDegrees = setting(LidarErrors, "roll", in_degrees)
+    x: MountLength = setting(LidarMount, "x")
+    y: MountLength = setting(LidarMount, "y")
+    yaw_degrees: Real = setting(LidarMount, "yaw", in_degrees)
+    is_turning: bool = setting(LidarMount, "is_turning")
 
 
 class CameraSettings(Section):

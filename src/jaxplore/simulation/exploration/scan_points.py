@@ -40,7 +40,7 @@ def scan_points(
         points.append(beam_ends(sensor, scan, expected))
         # A beam that ended at a moving obstacle may have no return, but is shorter than the others.
         # One without a measurement has the range 0.
-        is_shorter = (scan.ranges > 0.0) & (scan.ranges < sensor.max_range - 1e-3)
+        is_shorter = (scan.ranges > 0.0) & (scan.ranges < sensor.clear_range)
         is_point.append(scan.is_return | is_shorter)
     misfit = scan_misfit(belief, sensors[0], scans[0], measured)
     ends, is_end = jnp.concatenate(points), jnp.concatenate(is_point)

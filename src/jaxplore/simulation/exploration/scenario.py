@@ -55,6 +55,7 @@ from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Frame
 from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.lidar import is_any_turning
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
@@ -428,7 +429,10 @@ class ExplorationScenario(Scenario):
             is_guarded=self.guard is not None,
             can_tip=self.chassis is not None,
             located=located,
-        )._replace(landing=landing(self.faults, reachable, belief.grid.frame, key))
+        )._replace(
+            landing=landing(self.faults, reachable, belief.grid.frame, key),
+            control=self.robot.default_control if is_any_turning(self.sensors) else None,
+        )
         return state, state.belief
 
     def measured(self, state: ExplorationState) -> StateVector:
@@ -533,7 +537,8 @@ class ExplorationScenario(Scenario):
             is_carried = self.faults.is_carried(moment.time, self.control_period)
             record = carried(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
-        state = state._replace(robot=record.state, wheels=wheels, located=located, motion=motion)
+        state = state.moved(record.state, control)
+        state = state._replace(wheels=wheels, located=located, motion=motion)
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -594,7 +599,8 @@ class ExplorationScenario(Scenario):
         """Return the belief, a scan, and the plan before a step; see `ExplorationFrame`."""
         truth = self.true_world(state, moment)
         # Only the scan of the first sensor is drawn: it is the one that fills the map.
-        scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key)
+        motion = self.senses.scan_motion(state, moment)
+        scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key, motion)
         plan = None if inspect is None else inspect(moment.observed, state.belief)
         return frame_arrays(self.robot, self.sensors[0], state, scan, truth.discs, plan)
 

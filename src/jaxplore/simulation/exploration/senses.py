@@ -19,6 +19,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.mount import ScanMotion
 from jaxplore.simulation.exploration.clock import when_due
 from jaxplore.simulation.exploration.located import Localisation, Located
 from jaxplore.simulation.exploration.progress import MapSums, map_progress, observed
@@ -119,6 +120,21 @@ class Senses(NamedTuple):
         )
         return known
 
+    def scan_motion(self, state: ExplorationState, moment: Moment) -> ScanMotion | None:
+        """Return the motion of the robot during a scan; None if no lidar turns.
+
+        Args:
+            state: state of the task.
+            moment: time, step and observed state of the robot.
+        """
+        if state.control is None:
+            return None
+        # A guard may observe no pose. The velocity is that in the frame of the robot, at any pose.
+        seen = moment.observed if moment.measured is None else moment.measured
+        known = self.robot.with_pose(seen, jnp.zeros(3))
+        true, known = (self.robot.twist(each, state.control) for each in (state.robot, known))
+        return ScanMotion(true, known, self.period * self.steps_per_scan.astype(jnp.float32))
+
     def is_scan_due(self, step: Count) -> Flag:
         """Check whether scans are due at a step."""
         return step % self.steps_per_scan == 0
@@ -176,6 +192,9 @@ class Senses(NamedTuple):
         is_due, guard = self.is_scan_due(step), moment.guard
         at = self.robot.pose(state.robot)
 
+        def motion() -> ScanMotion | None:
+            return self.scan_motion(state, moment)
+
         def sense(
             belief: Belief,
             sums: MapSums,
@@ -184,7 +203,7 @@ class Senses(NamedTuple):
             __: Array,
             located: Located | None,
         ) -> tuple[Belief, MapSums, MapProgress, Array, Array, Located | None]:
-            scans = truth.scans(self.sensors, at, key) if guard is None else taken()
+            scans = truth.scans(self.sensors, at, key, motion()) if guard is None else taken()
             since = period * self.steps_per_scan.astype(jnp.float32)
             if located is None or self.localisation is None:
                 belief, sums = observed(
@@ -210,7 +229,7 @@ class Senses(NamedTuple):
         ) -> tuple[ScanPoints, Float[Array, " B"], Bool[Array, " B"]]:
             assert guard is not None
             assert moment.measured is not None
-            scans = truth.scans(self.sensors, at, key)
+            scans = truth.scans(self.sensors, at, key, motion())
             measured, expected = (
                 self.robot.pose(each) for each in (moment.measured, guard.expected)
             )

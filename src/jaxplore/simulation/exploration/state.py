@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Count, GridMask, Pose, StateVector
+from jaxplore._types import ControlVector, Count, GridMask, Pose, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
@@ -42,6 +42,7 @@ class ExplorationState(NamedTuple):
         motion: motion of the robot in the last step.
         known: what the robot knows of what is left.
         landing: pose to which a fault carries the robot; None without such a fault.
+        control: (nu,) control of the last step, for a lidar that turns; None without one.
     """
 
     robot: StateVector
@@ -59,6 +60,17 @@ class ExplorationState(NamedTuple):
     wheels: Wheels | None = None
     located: Located | None = None
     landing: Pose | None = None
+    control: ControlVector | None = None
+
+    def moved(self, robot: StateVector, control: ControlVector) -> "ExplorationState":
+        """Return the state after a step of the robot, with the control if a lidar needs it.
+
+        Args:
+            robot: (nx,) true state after the step.
+            control: (nu,) control of the step.
+        """
+        kept = None if self.control is None else control
+        return self._replace(robot=robot, control=kept)
 
 
 def max_ranges(sensors: Sequence[Sensor]) -> np.ndarray:

@@ -17,6 +17,8 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.lidar import Lidar
+from jaxplore.sensing.mount import LidarMount, ScanMotion, project_scan
 from jaxplore.simulation.exploration.moving_obstacles import (
     START_OF_MOVING,
     MovingDiscs,
@@ -46,23 +48,57 @@ class TrueWorld(eqx.Module):
         """(x, y, radius) of each moving obstacle [m]; None without any."""
         return None if self.moving is None else self.moving.discs(self.time)
 
-    def scans(self, sensors: Sequence[Sensor], pose: Pose, key: Key) -> tuple[Scan, ...]:
-        """Simulate a scan of each sensor.
+    def scans(
+        self, sensors: Sequence[Sensor], pose: Pose, key: Key, motion: ScanMotion | None = None
+    ) -> tuple[Scan, ...]:
+        """Simulate a scan of each sensor, around the robot's centre.
+
+        A lidar with a mount measures where it truly is. The robot undoes its mount, and its motion
+        by what it knows of it.
 
         Args:
             sensors: the sensors.
             pose: true pose (x, y, yaw) of the robot [m, m, rad].
             key: random key of the step's measurements.
+            motion: motion of the robot, for a lidar that turns; it stands when absent.
         """
         discs = self.discs
         # The first sensor has the step's own key, so further sensors do not change its noise.
         keys = [key, *(jax.random.fold_in(key, k) for k in range(1, len(sensors)))]
         return tuple(
-            sensor.scan(
+            self._scan(sensor, sensor.mount, pose, each, motion)
+            if isinstance(sensor, Lidar) and sensor.mount is not None
+            else sensor.scan(
                 *(self.grid, pose), key=each, ground=self.ground, movers=discs, is_told=self.is_told
             )
             for sensor, each in zip(sensors, keys, strict=True)
         )
+
+    def _scan(
+        self, sensor: Lidar, mount: LidarMount, pose: Pose, key: Key, motion: ScanMotion | None
+    ) -> Scan:
+        """Return the scan around the robot's centre of a lidar with a mount."""
+        nothing = jnp.zeros(3)
+        true, known, duration = (
+            ScanMotion(nothing, nothing, jnp.zeros(())) if motion is None else motion
+        )
+        known = jnp.where(jnp.isfinite(known).all(), known, nothing)
+        times, movers = mount.times(sensor.num_beams, duration), None
+        if self.moving is not None:
+            now, radius = self.moving.at(self.time), self.moving.radius
+            places = now.positions[:, None] + times[:, None] * now.velocities[:, None]
+            radii = jnp.broadcast_to(radius[:, None, None], (*places.shape[:2], 1))
+            movers = jnp.concatenate([places, radii], axis=-1)
+        starts = jax.vmap(compose, (None, 0))(pose, mount.poses(true, times))
+        scan = sensor.scan(
+            *(self.grid, pose),
+            key=key,
+            ground=self.ground,
+            movers=movers,
+            is_told=self.is_told,
+            starts=starts,
+        )
+        return project_scan(scan, sensor, mount.poses(known, times))
 
     def tracked(
         self,

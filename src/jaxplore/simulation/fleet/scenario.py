@@ -273,8 +273,10 @@ class Fleet(Scenario):
             sent, links, coverages = team.sent, team.links, team.coverages
             team = self._talk.planned(team, state.robot, moved, moment.step, info)
         members = tuple(
-            each._replace(robot=robot)
-            for each, robot in zip(state.members, self.share.own(moved), strict=True)
+            each.moved(robot, given)
+            for each, robot, given in zip(
+                state.members, self.share.own(moved), self.share.own(controls), strict=True
+            )
         )
         joint = jnp.concatenate(moved)
         state = state._replace(robot=joint, members=members, team=team)
