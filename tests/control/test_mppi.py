@@ -1,5 +1,4 @@
 import math
-from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -7,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import MPPI, Cost, DifferentialDrive, Dynamics, GaussianProposal, Softmax
+from jaxplore import MPPI, Cost, DifferentialDrive, GaussianProposal, Softmax
 
 pytestmark = pytest.mark.long
 
@@ -317,21 +316,9 @@ def test_softmax_is_invariant_to_a_constant_and_survives_extremes() -> None:
     np.testing.assert_array_equal(huge, [0, 0, 0, 1])
 
 
-class Push(Dynamics):
-    state_names: ClassVar[tuple[str, ...]] = ("x", "y", "yaw", "v")
-    control_names: ClassVar[tuple[str, ...]] = ("a", "b", "c")
-    control_min: jax.Array = eqx.field(default_factory=lambda: -jnp.ones(3))
-    control_max: jax.Array = eqx.field(default_factory=lambda: jnp.ones(3))
-    radius: jax.Array = eqx.field(default_factory=lambda: jnp.asarray(0.2))
-
-    def step(self, state, control, dt):
-        return state
-
-
 @pytest.mark.parametrize(
     ("changes", "culprit"),
     [
-        ({"noise_std": [0.1]}, "noise_std has shape"),
         ({"noise_std": None}, "noise_std is None"),
         ({"proposal": GaussianProposal([1.0, 1.0])}, "accepted: one of them"),
         ({"weighting": Softmax(1.0)}, "accepted: one of them"),
@@ -340,14 +327,3 @@ class Push(Dynamics):
 def test_bad_input_is_named(changes, culprit: str) -> None:
     with pytest.raises(ValueError, match=culprit):
         make(**changes)
-
-
-def test_bounds_must_fit_the_names() -> None:
-    narrow = eqx.tree_at(lambda robot: robot.control_min, ROBOT, jnp.zeros(1))
-    with pytest.raises(ValueError, match=r"control_min of DifferentialDrive has shape \(1,\)"):
-        MPPI(narrow, ToPoint(), noise_std=[1.0, 1.0])
-
-
-def test_noise_must_fit_the_model() -> None:
-    with pytest.raises(ValueError, match=r"accepted: \(3,\), one per control of the model"):
-        MPPI(Push(), ToPoint(), noise_std=[1.0, 1.0])

@@ -314,12 +314,6 @@ def test_a_change_of_numbers_does_not_retrace() -> None:
     assert traces == 1
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: LogNormalNoise(jnp.ones(2)), r"spread has shape \(2,\); accepted: one number"),
-    ],
-)
-def test_bad_input_is_named(build, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        build()
+def test_bad_input_is_named() -> None:
+    with pytest.raises(ValueError, match=r"spread has shape \(2,\); accepted: one number"):
+        LogNormalNoise(jnp.ones(2))
