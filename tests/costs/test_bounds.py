@@ -51,9 +51,6 @@ def test_one_kind_of_bound_is_enough(price, drone) -> None:
     [
         ({}, "lower is None and upper is None; accepted: one bound or more"),
         ({"lower": {"x": 2.0}, "upper": {"x": 1.0}}, r"lower\['x'\] is 2.0; accepted: at most .*1"),
-        ({"lower": {"x": math.nan}}, r"lower\['x'\] is nan; accepted"),
-        ({"upper": {"x": math.inf}}, r"upper\['x'\] is inf; accepted"),
-        ({"upper": {"x": 1.0}, "scale": {"x": 0.0}}, r"scale\['x'\] is 0.0; accepted: .*> 0"),
         ({"upper": {"x": 1.0}, "scale": {"y": 1.0}}, "scale has 'y'; accepted: x"),
     ],
 )
@@ -89,15 +86,9 @@ def test_no_step_and_no_kink_at_the_speed_limit(slope, drone) -> None:
         np.testing.assert_array_equal(found[:-1], 0.0)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "culprit"),
-    [
-        ({"limit": np.ones(2)}, r"limit has shape \(2,\); accepted: one number"),
-    ],
-)
-def test_a_bad_speed_limit_is_named(arguments, culprit: str) -> None:
-    with pytest.raises(ValueError, match=culprit):
-        SpeedLimitCost(**arguments)
+def test_a_bad_speed_limit_is_named() -> None:
+    with pytest.raises(ValueError, match=r"limit has shape \(2,\); accepted: one number"):
+        SpeedLimitCost(limit=np.ones(2))
 
 
 @pytest.mark.parametrize(

@@ -395,10 +395,9 @@ def test_another_number_does_not_recompile(drone) -> None:
 @pytest.mark.parametrize(
     "name", ["nearness", "clearance", "collision", "margin", "reaction_time", "caution"]
 )
-@pytest.mark.parametrize("value", [-0.1, math.nan, np.ones(2)], ids=repr)
-def test_bad_numbers_are_named(name: str, value) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} (is|has shape) .*; accepted: "):
-        MovingObstacleCost(**{name: value})
+def test_several_numbers_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=rf"^{name} has shape .*; accepted: "):
+        MovingObstacleCost(**{name: np.ones(2)})
 
 
 # Distance kept from outlines
