@@ -274,18 +274,6 @@ def test_another_place_closes_no_loop(driven: Any) -> None:
     assert len(poses) == number
 
 
-@pytest.mark.parametrize(
-    "name", ["reach", "spacing", "least_share", "most_contradicted", "tolerance"]
-)
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
-def test_numbers_that_are_not_positive_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} is .*; accepted: "):
-        LoopCloser(**{name: value})
-    if name == "least_share":
-        with pytest.raises(ValueError, match=r"^least_share is 1\.1; accepted: "):
-            LoopCloser(least_share=1.1)
-
-
 def test_other_numbers_do_not_recompile(around: Any, traced: Callable[..., int]) -> None:
     state, *_ = around
     scan = Scan(jnp.full(120, 2.0), jnp.ones(120, bool))
