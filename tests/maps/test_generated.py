@@ -191,7 +191,6 @@ def test_a_cave_is_the_same_at_another_resolution():
         ({"size": (7.9, 9.0)}, "size[0] is 7.9"),
         ({"size": (9.0, 6.9)}, "size[1] is 6.9"),
         ({"size": (math.inf, 9.0)}, "size[0] is inf"),
-        ({"resolution": 1e-4}, "resolution is 0.0001"),
     ],
 )
 def test_refusals(arguments, named):

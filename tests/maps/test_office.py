@@ -100,21 +100,7 @@ def test_no_start_without_room():
             start_pose(OccupancyGrid(values.astype(np.float32), 0.1))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ({"resolution": 1e-4}, "resolution is 0.0001"),
-        ({"resolution": 1e-320}, "resolution is"),
-    ],
-)
-def test_refusals(arguments, named):
-    with pytest.raises(ValueError, match="accepted") as caught:
-        office(**arguments)
-    assert named in str(caught.value)
+def test_a_resolution_that_is_no_normal_number_is_refused():
+    with pytest.raises(ValueError, match=r"resolution is .*accepted") as caught:
+        office(resolution=1e-320)
     assert "\n" not in str(caught.value)
-
-
-def test_a_seed_is_whole():
-    # TypeError where the run-time type checks of the test session come first.
-    with pytest.raises((ValueError, TypeError)):
-        office(0.5)

@@ -1,4 +1,3 @@
-import builtins
 import io
 import math
 import os
@@ -13,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
+from tests.maps.refusals import refused
 
 from jaxplore import _files
 from jaxplore.maps.files import ros
@@ -463,17 +463,6 @@ def test_a_failed_rename_leaves_no_temporary_files(tmp_path, monkeypatch):
     with pytest.raises(PermissionError):
         write_map(tmp_path / "map.yaml", TRINARY, 0.05, (0.0, 0.0, 0.0))
     assert not list(tmp_path.iterdir())
-
-
-def refused(action, *named):
-    with pytest.raises(ValueError, match=r".") as caught:
-        action()
-    assert type(caught.value) is builtins.ValueError
-    message = str(caught.value)
-    assert "\n" not in message
-    assert len(message) < 1000
-    for text in named:
-        assert str(text) in message
 
 
 @pytest.mark.parametrize(

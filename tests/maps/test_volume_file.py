@@ -428,7 +428,4 @@ def test_a_volume_in_utm_has_a_datum(tmp_path: Path) -> None:
 def test_what_is_no_volume_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cannot be read: it is not there or not a file"):
         read_volume(tmp_path / "a.stl")
-    for change in ({"resolution": 0.0}, {"scale": -1.0}, {"min_points": 0}, {"up": "w"}):
-        with pytest.raises(ValueError, match=next(iter(change))):
-            read_volume(tmp_path / "a.stl", **change)
     assert isinstance(jx.VoxelGrid.unknown((1.0, 1.0, 1.0), 0.5), jx.VoxelGrid)
