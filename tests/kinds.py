@@ -24,11 +24,11 @@ QUADROTOR = jx.Quadrotor()
 CAMERA = jx.DepthCamera(32, 24)
 
 
-def room(has_wall: bool = True) -> jx.VoxelGrid:
-    """Return a room of 8 m by 4 m by 2.4 m with half a wall across it."""
+def room(has_wall: bool = True, column: int = 15) -> jx.VoxelGrid:
+    """Return a room of 8 m by 4 m by 2.4 m with half a wall across it in a column of voxels."""
     solid = np.zeros((12, 20, 40), bool)
     solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
-    solid[:, :8, 15] = has_wall
+    solid[:, :8, column] = has_wall
     return jx.VoxelGrid.solid(solid, SIDE)
 
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
+from tests.kinds import room
 
 import jaxplore as jx
 from jaxplore import planning
@@ -23,16 +24,8 @@ CAMERA = jx.DepthCamera(32, 24)
 FEW = {"horizon": 20, "num_samples": 128}
 
 
-def hall() -> jx.VoxelGrid:
-    """Return a hall of 8 m by 4 m by 2.4 m with half a wall across it."""
-    solid = np.zeros((12, 20, 40), bool)
-    solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
-    solid[:, :8, 20] = True
-    return jx.VoxelGrid.solid(solid, SIDE)
-
-
 def scenario(**more) -> jx.VolumeScenario:
-    return jx.VolumeScenario(hall(), ROBOT, CAMERA, (1.2, 2.8, 1.2, 0.3), **more)
+    return jx.VolumeScenario(room(column=20), ROBOT, CAMERA, (1.2, 2.8, 1.2, 0.3), **more)
 
 
 @pytest.fixture(scope="module")
@@ -145,9 +138,10 @@ def test_rules_explore_the_hall_with_one_program() -> None:
 
 def test_a_lidar_that_sees_all_around_does_not_stay() -> None:
     perception = VolumePerception([jx.RingLidar(4, 24)], SIDE, 0.3)
-    around = planning.volume_target_explorer(ROBOT, NearestFrontier(), perception, hall(), **FEW)
+    world = room(column=20)
+    around = planning.volume_target_explorer(ROBOT, NearestFrontier(), perception, world, **FEW)
     assert not around.stays
     weights = jx.get_parameters(around)
     assert any(float(each) == 0.0 for name, each in weights.items() if "information" in name)
     camera = VolumePerception([CAMERA], SIDE, 0.3)
-    assert planning.volume_target_explorer(ROBOT, "wander", camera, hall(), **FEW).stays
+    assert planning.volume_target_explorer(ROBOT, "wander", camera, world, **FEW).stays
