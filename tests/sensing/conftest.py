@@ -4,8 +4,12 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import pytest
+
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 SHAPE, RESOLUTION, ORIGIN = (30, 36), 0.2, (-1.0, 2.0, 0.4)
 SLIVER = 1e-3
@@ -73,6 +77,33 @@ def at(values: np.ndarray, cell: tuple[int, int], outside: float) -> float:
     row, column = cell
     inside = 0 <= row < values.shape[0] and 0 <= column < values.shape[1]
     return float(values[row, column]) if inside else outside
+
+
+def observe_from(sensor, places: list[Place], number: int, seed: int, turn: float, near: float):
+    """Return places, points that a sensor may see from each, and what it observes there."""
+    rng = np.random.default_rng(seed)
+    poses, size = np.stack([place.pose for place in places]), (len(places), number)
+    angle = poses[:, None, 2] + rng.uniform(-turn, turn, size)
+    far = rng.uniform(near, 4.5, size)
+    points = poses[:, None, :2] + far[..., None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    points = points.astype(np.float32)
+
+    @jax.jit
+    @jax.vmap
+    def observe(world, elevation, pose, points):
+        frame = RESOLUTION, ORIGIN
+        grid, ground = OccupancyGrid(world, *frame), Ground(elevation, *frame)
+        scan = sensor.scan(grid, pose, key=jax.random.key(0), ground=ground)
+        sighting = sensor.sight(grid, scan, pose, ground)
+        return scan, sighting, sensor.sees(grid, pose, points, ground)
+
+    arguments = [np.stack(part) for part in zip(*places, strict=True)]
+    return places, points, jax.device_get(observe(*arguments, points))
+
+
+@pytest.fixture(scope="session")
+def observed_from() -> Callable[..., tuple]:
+    return observe_from
 
 
 @pytest.fixture(scope="session")

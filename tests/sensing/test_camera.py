@@ -59,25 +59,9 @@ def look(stretches, world, elevation, eye, value_at, last=None) -> Column:
 
 
 @pytest.fixture(scope="module")
-def observed(place, frame):
+def observed(place, observed_from):
     places = [place(seed, 1.2) for seed in range(PLACES)]
-    rng = np.random.default_rng(99)
-    poses = np.stack([p.pose for p in places])
-    turn = poses[:, None, 2] + rng.uniform(-0.7, 0.7, (PLACES, POINTS))
-    far = rng.uniform(0.2, 4.5, (PLACES, POINTS))
-    points = poses[:, None, :2] + far[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
-    points = points.astype(np.float32)
-
-    @jax.jit
-    @jax.vmap
-    def observe(world, elevation, pose, points):
-        grid, ground = OccupancyGrid(world, *frame), Ground(elevation, *frame)
-        scan = CAMERA.scan(grid, pose, key=jax.random.key(0), ground=ground)
-        sighting = CAMERA.sight(grid, scan, pose, ground)
-        return scan, sighting, CAMERA.sees(grid, pose, points, ground)
-
-    arguments = [np.stack(part) for part in zip(*places, strict=True)]
-    return places, points, jax.device_get(observe(*arguments, points))
+    return observed_from(CAMERA, places, POINTS, 99, 0.7, 0.2)
 
 
 def test_columns_on_hills_equal_a_walk_along_each(observed, crossed, standing, value_at) -> None:

@@ -256,25 +256,9 @@ PLACES, POINTS = 40, 30
 
 
 @pytest.fixture(scope="module")
-def hills(place, frame):
+def hills(place, observed_from):
     places = [place(seed, 1.5) for seed in range(PLACES)]
-    rng = np.random.default_rng(7)
-    poses = np.stack([p.pose for p in places])
-    turn = poses[:, None, 2] + rng.uniform(-1.2, 1.2, (PLACES, POINTS))
-    far = rng.uniform(0.1, 4.5, (PLACES, POINTS))
-    points = poses[:, None, :2] + far[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
-    points = points.astype(np.float32)
-
-    @jax.jit
-    @jax.vmap
-    def observe(world, elevation, pose, points):
-        grid, ground = OccupancyGrid(world, *frame), Ground(elevation, *frame)
-        scan = HILLS.scan(grid, pose, key=jax.random.key(0), ground=ground)
-        sighting = HILLS.sight(grid, scan, pose, ground)
-        return scan, sighting, HILLS.sees(grid, pose, points, ground)
-
-    arguments = [np.stack(part) for part in zip(*places, strict=True)]
-    return places, points, jax.device_get(observe(*arguments, points))
+    return observed_from(HILLS, places, POINTS, 7, 1.2, 0.1)
 
 
 def test_level_beams_on_hills_equal_a_walk_along_each(hills, crossed, standing, value_at) -> None:
