@@ -1,9 +1,11 @@
 import dataclasses
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import ImageDraw
+from matplotlib.figure import Figure
+from PIL import Image, ImageDraw
 
 from jaxplore.control.base import Members
 from jaxplore.report.compute import Timing
@@ -28,6 +30,21 @@ def turned(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[cos, -sin], [sin, cos]])
     return (np.asarray(points) @ turn.T + pose[:2]).astype(np.float32)
+
+
+@pytest.fixture
+def check_margins(tmp_path: Path) -> Callable[[Figure], None]:
+    """Return what checks that everything is inside the picture of a figure."""
+
+    def check(figure: Figure) -> None:
+        figure.savefig(tmp_path / "picture.png", dpi=60)
+        with Image.open(tmp_path / "picture.png") as image:
+            picture = np.asarray(image.convert("L"))
+        assert min(picture.shape) > 100
+        for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
+            assert (edge == 255).all()
+
+    return check
 
 
 @pytest.fixture

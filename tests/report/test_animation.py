@@ -19,12 +19,14 @@ from jaxplore.report.drawing.footer import BAR_TOP, STRIP, footer_height
 from jaxplore.report.drawing.palette import HIDDEN_WALL, INK, PLAN, ROBOT
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
+from jaxplore.report.following.animation import path_frame_image
 
 POSE = (3.0, -2.0, 0.7)
 
 
-def test_file_plays_every_frame_and_rests_on_the_last(recording, tmp_path):
-    shares = []
+@pytest.mark.parametrize(("name", "draw"), [("recording", frame_image), ("ring", path_frame_image)])
+def test_file_plays_every_frame_and_rests_on_the_last(name, draw, request, tmp_path):
+    shares, recording = [], request.getfixturevalue(name)
     recording.write_animation(tmp_path / "run.gif", on_progress=shares.append)
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 4
@@ -36,7 +38,7 @@ def test_file_plays_every_frame_and_rests_on_the_last(recording, tmp_path):
         assert durations == [100, 100, 100, 3000]
         shown = np.asarray(image.convert("RGB")).astype(int)[CAPTION:]
     assert shares == [0.25, 0.5, 0.75, 1.0]
-    drawn = np.asarray(frame_image(recording, recording.frames[-1])).astype(int)
+    drawn = np.asarray(draw(recording, recording.frames[-1])).astype(int)
     assert np.abs(shown - drawn).mean() < 4.0
 
 

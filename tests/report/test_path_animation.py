@@ -40,23 +40,6 @@ def bare(frame, **changes):
     )
 
 
-def test_file_plays_every_frame_and_rests_on_the_last(ring, tmp_path):
-    shares = []
-    ring.write_animation(tmp_path / "run.gif", on_progress=shares.append)
-    with Image.open(tmp_path / "run.gif") as image:
-        assert image.n_frames == 4
-        assert image.info["loop"] == 0
-        durations = []
-        for index in range(image.n_frames):
-            image.seek(index)
-            durations.append(image.info["duration"])
-        assert durations == [100, 100, 100, 3000]
-        shown = np.asarray(image.convert("RGB")).astype(int)[CAPTION:]
-    assert shares == [0.25, 0.5, 0.75, 1.0]
-    drawn = np.asarray(path_frame_image(ring, ring.frames[-1])).astype(int)
-    assert np.abs(shown - drawn).mean() < 4.0
-
-
 def test_many_frames_are_as_many_pictures(make_ring, tmp_path):
     run = make_ring(steps=20, num_frames=41)
     for most, count in ((240, 41), (10, 10), (1, 1)):
