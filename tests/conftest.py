@@ -5,6 +5,7 @@ import pickle
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import hypothesis
@@ -56,6 +57,19 @@ def fails(capsys: pytest.CaptureFixture[str]):
         return captured.err
 
     return run
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the settings of the runs that are asked for: each fails when it is to be built."""
+    result = list[Any]()
+
+    def note(settings: Any) -> None:
+        result.append(settings)
+        raise ValueError("enough")
+
+    monkeypatch.setattr("jaxplore.cli._run.build", note)
+    return result
 
 
 @pytest.fixture(scope="session")

@@ -166,16 +166,7 @@ def test_a_mistake_in_a_rule_is_one_line_behind_the_progress(mine, capsys) -> No
     )
 
 
-def test_a_settings_file_names_code_only_if_it_is_trusted(
-    mine, fails, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran = []
-
-    def note(settings: Any) -> None:
-        ran.append(settings)
-        raise ValueError("enough")
-
-    monkeypatch.setattr("jaxplore.cli._run.build", note)
+def test_a_settings_file_names_code_only_if_it_is_trusted(mine, fails, asked: list[Any]) -> None:
     entries = {"architecture": mine("Near"), "robot": {"model": mine("Cart")}}
     scenario = {"world": {"size": [4.0, 3.0], "start": [1.0, 1.5, 0.0]}, **entries}
     Path("rule.yaml").write_text(yaml.safe_dump({"architecture": mine("Near")}))
@@ -196,11 +187,15 @@ def test_a_settings_file_names_code_only_if_it_is_trusted(
             "whose code would run; accepted: with --trust, if you trust the file\n"
         )
     assert mine("").removesuffix(":") not in sys.modules
-    assert not ran
+    assert not asked
     for command in list(commands)[:3]:
         assert "enough" in fails(*command, "--trust")
-    assert [each.architecture for each in ran] == [mine("Near"), "explorer", mine("Near")]
-    assert [each.robot.model for each in ran] == ["differential_drive", mine("Cart"), mine("Cart")]
+    assert [each.architecture for each in asked] == [mine("Near"), "explorer", mine("Near")]
+    assert [each.robot.model for each in asked] == [
+        "differential_drive",
+        mine("Cart"),
+        mine("Cart"),
+    ]
     with pytest.raises(ValueError, match="whose code would run"):
         read_settings("rule.yaml")
 

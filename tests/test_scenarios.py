@@ -237,14 +237,7 @@ def test_a_scenario_runs_by_its_name(capsys, monkeypatch: pytest.MonkeyPatch) ->
     assert str(Path("it") / "members.png") in capsys.readouterr().out
 
 
-def test_options_win_over_a_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def note(settings: Any) -> None:
-        asked.append(settings)
-        raise ValueError("enough")
-
-    monkeypatch.setattr("jaxplore.cli._run.build", note)
+def test_options_win_over_a_scenario(asked: list[Any]) -> None:
     name = write("yard.yaml", map="my yard")
     options = ["--samples", "9", "--max-speed", "0.5", "--set", "portfolio.fusion=average"]
     for place in (name, "warehouse"):
@@ -287,14 +280,7 @@ def test_fusions_by_name(fusion: str, kind: type, is_safe: bool) -> None:
     assert type(found) is kind
 
 
-def test_words_have_two_spellings_in_settings(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def note(settings: Any) -> None:
-        asked.append(settings)
-        raise ValueError("enough")
-
-    monkeypatch.setattr("jaxplore.cli._run.build", note)
+def test_words_have_two_spellings_in_settings(asked: list[Any]) -> None:
     for place, robot, fusion in (
         ("search-rescue", "differential_drive", "best-only"),
         ("search_rescue", "differential-drive", "best_only"),

@@ -126,16 +126,13 @@ def test_a_file_is_read_once_until_it_changes(room: Path, monkeypatch) -> None:
     assert len(read) == 3
 
 
-def test_memory_is_estimated_before_voxels_are_made(room: Path, capsys, monkeypatch) -> None:
+def test_memory_is_estimated_before_voxels_are_made(room: Path, fails, monkeypatch) -> None:
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box(extents=(60.0, 20.0, 3.0)).export("hall.stl")
     monkeypatch.setattr(
         "jaxplore.maps.files.volume_file.touched_voxels", lambda *_: pytest.fail("voxels are made")
     )
-    with pytest.raises(SystemExit) as ended:
-        main(["run", "hall.stl", "--resolution", "0.05", "--memory-limit", "2", "--out", "out"])
-    assert ended.value.code == 2
-    told = capsys.readouterr().err
+    told = fails("run", "hall.stl", "--resolution", "0.05", "--memory-limit", "2", "--out", "out")
     assert "3.46 GB of it for the voxels (60 x 400 x 1200 voxels" in told
 
 

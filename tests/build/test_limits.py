@@ -18,7 +18,6 @@ from jaxplore.build.memory_limit import SHARE, default_limit
 from jaxplore.build.needs import check_needs, needs
 from jaxplore.build.onboard import make_node_settings
 from jaxplore.build.tasks import make_settings
-from jaxplore.cli import main
 from jaxplore.cli._tune_entries import parse_budget
 from jaxplore.maps.files.images import image_size, read_greys
 from jaxplore.maps.files.ros import map_size
@@ -383,27 +382,19 @@ OFFICE = ["office", "--no-animation"]
     ],
 )
 def test_the_command_line_refuses_in_one_line(
-    arguments: list[str], said: str, tmp_path: Path, monkeypatch, capsys
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch, fails
 ) -> None:
     monkeypatch.chdir(tmp_path)
     # Nothing is built before the refusal.
     for each in itertools.product(["_run", "_node", "_comparison"], ["build"]):
         monkeypatch.delattr(f"jaxplore.cli.{each[0]}.{each[1]}", raising=False)
-    with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    shown = capsys.readouterr().err
-    assert caught.value.code == 2
-    assert said in shown
-    assert len(shown.strip().splitlines()) == 1
+    assert said in fails(*arguments)
 
 
-def test_too_large_a_map_among_many_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_too_large_a_map_among_many_is_refused(tmp_path: Path, monkeypatch, fails) -> None:
     monkeypatch.chdir(tmp_path)
     ros_map(tmp_path, 1000, 0.1)
-    with pytest.raises(SystemExit) as caught:
-        main(["compare", "--maps", str(tmp_path), "--memory-limit", "1"])
-    assert caught.value.code == 2
-    assert "of it for the" in capsys.readouterr().err
+    assert "of it for the" in fails("compare", "--maps", str(tmp_path), "--memory-limit", "1")
 
 
 def test_frames_of_a_large_map_are_few() -> None:

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxplore.cli import main
 from jaxplore.onboard.drive_clock import Instant
 from jaxplore.ros.inputs import subscribe_pose
 from jaxplore.settings.node import NodeSettings, part_node
@@ -140,12 +139,8 @@ def test_the_longest_namespace_leaves_room_for_the_longest_topic() -> None:
         (["node", "--set", "node.scan_topic=a b"], "setting node.scan_topic is 'a b'; accepted: "),
     ],
 )
-def test_names_that_ros_refuses_are_one_line(arguments, said, capsys) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"jaxplore: {said}")
+def test_names_that_ros_refuses_are_one_line(arguments, said, fails) -> None:
+    assert fails(*arguments).startswith(f"jaxplore: {said}")
 
 
 @pytest.mark.parametrize(
