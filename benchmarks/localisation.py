@@ -87,7 +87,7 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
     assert scenario.localisation is not None
     loop = TimedLoop(controller, scenario, key, sizes.warm_up)
     loop.run(sizes.warm_up)
-    known = loop.state.task.located.known
+    known = loop.state.task.own.place.known
     localiser, sensors = scenario.localisation.localiser, scenario.sensors
     assert isinstance(localiser, Localiser)
     pose = scenario.robot.pose(loop.state.task.robot)

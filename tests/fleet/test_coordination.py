@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from jaxplore import OccupancyGrid
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.claims import claim_cost, trust_in
+from jaxplore.robot.knowledge import Knowledge
+from jaxplore.robot.robot import RobotState
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.assignment import (
     ELSEWHERE,
@@ -135,7 +137,8 @@ def test_each_robot_is_led_to_the_cluster_that_is_assigned_to_it() -> None:
     scenario = types.SimpleNamespace(
         perception=types.SimpleNamespace(field_sensor=types.SimpleNamespace(stride=stride))
     )
-    state = ExplorationState(*[None] * 11)._replace(belief=Belief(grid=grid))
+    own = RobotState(Belief(grid=grid), Knowledge.nothing())
+    state = ExplorationState(*[None] * 8)._replace(own=own)
     for places in ((0, 1, 2), (1, 0), (0,), (1,)):
         heard = Heard(
             jnp.zeros((3, 3, *grid.shape)),

@@ -123,10 +123,11 @@ def one_step(scenario: ExplorationScenario, state):
 def test_while_it_does_not_know_its_pose_it_brakes_and_maps_nothing() -> None:
     state = initial_loop_state(AT_RATE, CARRIED, jax.random.key(0))
     task = state.task
-    known = task.located.known
+    known = task.own.place.known
     unknown = known._replace(found=known.found._replace(is_converged=jnp.array(False)))
     driving = task.robot.at[3].set(0.5)
-    task = task._replace(robot=driving, located=task.located._replace(known=unknown))
+    place = task.own.place._replace(known=unknown)
+    task = task._replace(robot=driving, own=task.own._replace(place=place))
     after, record = one_step(CARRIED, state._replace(task=task))
     assert int(record.stop) == LOST
     assert float(after.task.robot[3]) < 0.5
@@ -134,8 +135,8 @@ def test_while_it_does_not_know_its_pose_it_brakes_and_maps_nothing() -> None:
         after.task.belief.grid.probability, CARRIED.map_arrays.prior.probability
     )
     # The scan reaches the filter nevertheless, which knows the pose by it.
-    assert int(after.task.located.known.number) == 1
-    assert bool(after.task.located.known.is_known)
+    assert int(after.task.own.place.known.number) == 1
+    assert bool(after.task.own.place.known.is_known)
     after, record = one_step(CARRIED, after)
     assert int(record.stop) != LOST
 

@@ -17,7 +17,10 @@ from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.simulation.exploration.finish import Knowledge, default_give_up_after
+from jaxplore.robot.knowledge import Knowledge
+from jaxplore.robot.robot import RobotState
+from jaxplore.simulation.exploration.finish import default_give_up_after
+from jaxplore.simulation.exploration.judge import Judged
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import _initial_task, copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import Run, record_run, simulate
@@ -337,10 +340,14 @@ def test_the_end_is_the_goal_and_a_known_map(
         worst_idleness=nothing,
     )
     state = ExplorationState(
-        *(robot, None, None, progress, Gain(progress.coverage, nothing), jnp.zeros((), int)),
-        *(jnp.zeros(0, bool), None, jnp.zeros(0)),
+        robot,
+        RobotState(None, Knowledge(jnp.asarray(idle), nothing)),
+        Judged(None, progress, jnp.zeros(0, bool), None),
+        Gain(progress.coverage, nothing),
+        finished=jnp.zeros((), int),
+        moving_obstacles=None,
+        ranges=jnp.zeros(0),
         motion=Motion(jnp.asarray(speed), jnp.asarray(turn_rate)),
-        known=Knowledge(jnp.asarray(idle), nothing),
     )
     found = bool(scenario.is_finished(state))
     # 0.4 rad/s move what is half a metre away by 0.2 m/s.
@@ -490,8 +497,9 @@ def test_walls_that_grow_for_ever_are_given_up_where_no_place_is_worth_a_visit()
     for target, is_over in (("walls", True), ("information", False)):
         scenario = hall(give_up_after=5.0, goal=None, target=target, target_coverage=0.9)
         for idle in (4.9, 5.1):
-            known = state.known._replace(idle=jnp.asarray(idle))
-            found = bool(scenario.is_given_up(state._replace(known=known)))
+            known = state.own.knowledge._replace(idle=jnp.asarray(idle))
+            later = state._replace(own=state.own._replace(knowledge=known))
+            found = bool(scenario.is_given_up(later))
             assert found == (is_over and idle > 5.0)
 
 

@@ -11,9 +11,9 @@ from jaxplore.belief.guidance import GuidanceField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
+from jaxplore.robot.knowledge import Knowledge
 from jaxplore.simulation.exploration.finish import (
     TARGETS,
-    Knowledge,
     chosen_target,
     is_finished,
 )

@@ -9,7 +9,7 @@ import pytest
 import jaxplore as jx
 from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation import InertialOdometry, Localiser, ParticleFilter, ParticleLocaliser
-from jaxplore.simulation.exploration.located import Localisation, corrected_state
+from jaxplore.robot.localisation import Localisation, corrected_state
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import simulate
@@ -68,8 +68,8 @@ def test_it_explores_by_what_scans_make_of_the_imu(run) -> None:
 
 
 def test_it_learns_the_velocity_and_the_biases(run) -> None:
-    located = run.checkpoint.loop.state.task.located
-    known, true = located.known.errors, located.errors
+    task = run.checkpoint.loop.state.task
+    known, true = task.own.place.known.errors, task.odometer.errors
     wrong = np.concatenate([known.mean[:2] - true.velocity, known.mean[2:4] - true.acceleration])
     stds = np.sqrt(np.diagonal(known.covariance))[:4]
     # Of a velocity error of more than a metre a second and of biases of 0.5 m/s^2 as good as
@@ -83,15 +83,16 @@ def test_it_learns_the_velocity_and_the_biases(run) -> None:
 def test_it_observes_the_velocity_that_it_knows() -> None:
     """The true velocity with what is left of the error, in the frame of the estimated yaw."""
     task = initial_loop_state(CONTROLLER, SCENARIO, jax.random.key(0)).task
-    located = task.located
-    errors = located.known.errors._replace(mean=jnp.array([0.3, -0.1, 0.0, 0.0, 0.0]))
+    known, odometer = task.own.place.known, task.odometer
+    errors = known.errors._replace(mean=jnp.array([0.3, -0.1, 0.0, 0.0, 0.0]))
     estimate = jnp.array([2.2, 1.9, 1.1])
-    located = located._replace(
-        known=located.known._replace(pose=estimate, errors=errors),
-        errors=located.errors._replace(velocity=jnp.array([0.5, 0.1])),
+    place = task.own.place._replace(known=known._replace(pose=estimate, errors=errors))
+    velocity = odometer.errors._replace(velocity=jnp.array([0.5, 0.1]))
+    task = task._replace(
+        own=task.own._replace(place=place), odometer=odometer._replace(errors=velocity)
     )
     state = task.robot.at[3:6].set(jnp.array([1.0, 0.2, -0.3]))
-    found = np.asarray(SCENARIO.measured(task._replace(located=located, robot=state)), float)
+    found = np.asarray(SCENARIO.measured(task._replace(robot=state)), float)
     np.testing.assert_allclose(ROBOT.pose(jnp.asarray(found, jnp.float32)), estimate, atol=1e-5)
     turned = np.exp(1j * (1.1 - 0.4)) * (1.0 + 0.2j) + np.exp(1.1j) * (0.2 + 0.2j)
     np.testing.assert_allclose(found[3] + 1j * found[4], turned, atol=1e-5)

@@ -32,7 +32,7 @@ def begin(scenario):
 def motion_of(scenario, state, seen):
     off = jnp.array(False)
     moment = Moment(jnp.zeros((), jnp.int32), jnp.zeros(()), seen, off, off)
-    return scenario.senses.scan_motion(state, moment)
+    return scenario.measuring.scan_motion(state, moment)
 
 
 def test_the_robot_knows_its_motion_by_what_it_observes() -> None:

@@ -11,7 +11,7 @@ from jaxplore.control.base import Info
 from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation import Localiser, LoopCloser, Odometry
 from jaxplore.localisation.thinning import SPARE, is_nearly_full, thinned
-from jaxplore.simulation.exploration.located import Localisation, corrected_state
+from jaxplore.robot.localisation import Localisation, corrected_state
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import simulate
@@ -90,11 +90,17 @@ def test_it_is_the_same_run_again_also_in_two_parts(run) -> None:
     np.testing.assert_array_equal(*(each.poses for each in ends))
 
 
+def with_known(task, known):
+    """Return the state of a robot that knows something else of its pose."""
+    place = task.own.place._replace(known=known)
+    return task._replace(own=task.own._replace(place=place))
+
+
 @jax.jit
 def perceived(state, moment, key):
     """Return where the robot is and what it maps; fields are not computed then."""
     after, belief = SCENARIO.perceive(state, moment, key)
-    return after.located, belief.pose, belief.grid
+    return after.own.place.known, after.judged.track.reference, belief.pose, belief.grid
 
 
 def test_the_robot_maps_where_it_takes_itself_to_be() -> None:
@@ -102,22 +108,21 @@ def test_the_robot_maps_where_it_takes_itself_to_be() -> None:
     loop = initial_loop_state(CONTROLLER, SCENARIO, jax.random.key(0))
     task = loop.task
     estimate = jnp.array([2.3, 4.1, 0.9])
-    known = task.located.known._replace(pose=estimate)
-    task = task._replace(located=task.located._replace(known=known))
+    task = with_known(task, task.own.place.known._replace(pose=estimate))
     measured = SCENARIO.measured(task)
     np.testing.assert_allclose(ROBOT.pose(measured), estimate)
     guard = SCENARIO.guard.init(ROBOT, SCENARIO.start)
     nothing = jnp.array(False)
     zero = jnp.zeros((), jnp.int32)
     moment = Moment(zero, jnp.zeros(()), measured, nothing, nothing, measured, guard)
-    located, pose, grid = perceived(task, moment, jax.random.key(1))
+    known, reference, pose, grid = perceived(task, moment, jax.random.key(1))
     # Nothing is known that the scan could correct the pose with: it stays.
-    np.testing.assert_allclose(located.known.pose, estimate, atol=1e-6)
+    np.testing.assert_allclose(known.pose, estimate, atol=1e-6)
     np.testing.assert_allclose(pose, estimate, atol=1e-6)
     # The same scan at the true pose is the judge's map.
     truth = ROBOT.pose(task.robot)
-    scan = located.known.scans.scan(zero, SCENARIO.sensors)[0]
-    for pose, found in ((estimate, grid), (truth, located.reference)):
+    scan = known.scans.scan(zero, SCENARIO.sensors)[0]
+    for pose, found in ((estimate, grid), (truth, reference)):
         values = found.probability if hasattr(found, "probability") else found
         ends = pose[:2] + scan.ranges[:, None] * 0.9 * jnp.stack(
             [jnp.cos(pose[2] + LIDAR.beam_angles), jnp.sin(pose[2] + LIDAR.beam_angles)], axis=1
@@ -130,7 +135,7 @@ def test_the_robot_maps_where_it_takes_itself_to_be() -> None:
 
 def test_the_drift_of_a_run_is_drawn_by_its_key() -> None:
     drawn = [
-        initial_loop_state(CONTROLLER, SCENARIO, jax.random.key(seed)).task.located.errors
+        initial_loop_state(CONTROLLER, SCENARIO, jax.random.key(seed)).task.odometer.errors
         for seed in (0, 0, 1)
     ]
     assert drawn[0].turn_per_metre == drawn[1].turn_per_metre != drawn[2].turn_per_metre
@@ -139,7 +144,7 @@ def test_the_drift_of_a_run_is_drawn_by_its_key() -> None:
 
 def test_a_closed_loop_moves_the_map_the_robot_and_what_its_guard_expects(run) -> None:
     state = run.checkpoint.loop.state
-    known = state.task.located.known
+    known = state.task.own.place.known
     number, poses, last = int(known.scans.number), known.scans.poses, known.scans.last
     # Say where the last scan was taken relative to the first, and bend the way between them.
     exact = between(poses[0], poses[last])
@@ -150,7 +155,7 @@ def test_a_closed_loop_moves_the_map_the_robot_and_what_its_guard_expects(run) -
     bent = poses.at[:number, 1].add(jnp.linspace(0.0, 0.6, number))
     shifted = compose(bent[last], between(poses[last], known.pose))
     changed = known._replace(scans=known.scans._replace(poses=bent), pose=shifted)
-    task = state.task._replace(located=state.task.located._replace(known=changed))
+    task = with_known(state.task, changed)
     bent_state = state._replace(
         task=task,
         observed=corrected_state(ROBOT, state.observed, known.pose, shifted),
@@ -159,7 +164,7 @@ def test_a_closed_loop_moves_the_map_the_robot_and_what_its_guard_expects(run) -
         ),
     )
     after = SCENARIO.revised(bent_state)
-    found = after.task.located.known
+    found = after.task.own.place.known
     assert np.abs(np.asarray(found.scans.poses - bent)[:number, :2]).max() > 0.1
     # The loops fit again: the errors along the way are those of before.
     np.testing.assert_allclose(found.scans.poses[:number], poses[:number], atol=0.05)
@@ -178,7 +183,7 @@ def test_a_closed_loop_moves_the_map_the_robot_and_what_its_guard_expects(run) -
 
 
 def test_half_of_the_scans_can_be_left_out(run) -> None:
-    known = run.checkpoint.loop.state.task.located.known
+    known = run.checkpoint.loop.state.task.own.place.known
     number = int(known.scans.number)
     assert not is_nearly_full(known)
     assert is_nearly_full(
@@ -217,7 +222,7 @@ def test_other_numbers_compile_nothing_again(run) -> None:
     @eqx.filter_jit
     def step(scenario, state, moment):
         traced.append(1)
-        return scenario.advance(state, jnp.zeros(2), moment, info)[0].located.known.pose
+        return scenario.advance(state, jnp.zeros(2), moment, info)[0].own.place.known.pose
 
     nothing = jnp.zeros(())
     info = Info(jnp.zeros((1, 2)), nothing[None], nothing[None], nothing, jnp.array(True), None)

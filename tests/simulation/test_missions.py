@@ -203,7 +203,9 @@ def test_the_picture_of_an_environment_has_stars_and_found_targets(search) -> No
     moment = Moment(jnp.int32(0), jnp.float32(0.0), observed, jnp.array(False), jnp.array(False))
     trail = np.asarray(observed[:2])[None]
     is_seen = np.arange(given.num_targets) % 2 == 0
-    image = view.picture(task._replace(is_seen=jnp.asarray(is_seen)), moment, trail)
+    image = view.picture(
+        task._replace(judged=task.judged._replace(is_seen=jnp.asarray(is_seen))), moment, trail
+    )
     side = image.shape[0] / (SHAPE[0] * RESOLUTION)
     for (x, y), found in zip(np.asarray(given.targets).tolist(), is_seen, strict=True):
         row, column = image.shape[0] - round(y * side), round(x * side)
@@ -489,7 +491,8 @@ def test_a_rectangle_collides_with_its_corners() -> None:
 def test_without_a_target_coverage_there_is_no_end() -> None:
     never, once = (scenario(targets=None, target_coverage=c) for c in (None, 1.0))
     _, state = begin(never)
-    covered = state.task._replace(progress=state.task.progress._replace(coverage=jnp.ones(())))
+    progress = state.task.progress._replace(coverage=jnp.ones(()))
+    covered = state.task._replace(judged=state.task.judged._replace(progress=progress))
     assert bool(never.is_unfinished(covered))
     assert not bool(once.is_unfinished(covered))
     ends = [bool(each.is_finished(covered)) for each in (never, once)]

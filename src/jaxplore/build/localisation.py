@@ -12,11 +12,11 @@ from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import OdometryModel
 from jaxplore.localisation.particle_localiser import ParticleLocaliser
 from jaxplore.localisation.particles import ParticleFilter
+from jaxplore.robot.localisation import Localisation
 from jaxplore.sensing.beams import Beams
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.localisation import LocalisationSettings
-from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 

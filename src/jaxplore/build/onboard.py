@@ -23,11 +23,11 @@ from jaxplore.onboard.pilot import Pilot
 from jaxplore.parameters import set_parameters
 from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
+from jaxplore.robot.localisation import Localisation
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
 from jaxplore.settings.node import NodeSettings, part_node
 from jaxplore.settings.own import is_own
-from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NO_PART = (

@@ -17,8 +17,8 @@ from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.thinning import is_nearly_full, thinned
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.odometry import KEPT_SECONDS, Placed, PoseHistory, moved, wrapped
+from jaxplore.robot.localisation import Localisation
 from jaxplore.sensing.beams import Beams, Scan
-from jaxplore.simulation.exploration.located import Localisation
 
 
 class MapPoses:

@@ -14,8 +14,8 @@ from jaxplore.control.plausibility import RETRY_SECONDS
 from jaxplore.onboard import steps
 from jaxplore.onboard.localisation import MapLocaliser
 from jaxplore.onboard.log import DriveLog
+from jaxplore.robot.localisation import Localisation
 from jaxplore.sensing.beams import Scan
-from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 
@@ -164,7 +164,7 @@ class Mapper:
             if belief is not mapped.belief:
                 self._log.add_known(due.now, np.asarray(steps.free_cells(belief)))
         correction = None if localiser is None else localiser.correction
-        self.known = Known(self.state._replace(belief=belief), correction, due.time)
+        self.known = Known(self.state.with_belief(belief), correction, due.time)
         self.is_misfit = is_misfit
         if not is_misfit:
             self._fit_at = due.time
@@ -191,6 +191,6 @@ class Mapper:
             on_device(pose.astype(np.float32)),
             jnp.asarray(elapsed, jnp.float32),
         )
-        self.known = self.known._replace(state=self.state._replace(belief=belief))
+        self.known = self.known._replace(state=self.state.with_belief(belief))
         self._derived_at = now
         return float(cost)

@@ -33,9 +33,9 @@ from jaxplore.onboard.sent import SentCommands
 from jaxplore.onboard.tasks import Driver, DriveTask, Exploring
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.robot.localisation import Localisation
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.sweep import Sweep
-from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 

@@ -24,7 +24,8 @@ from jaxplore.report.recording import Frame
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.exploration.progress import map_progress, observed
+from jaxplore.simulation.exploration.judge import Judge
+from jaxplore.simulation.exploration.progress import map_progress
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import step_keys
@@ -274,13 +275,15 @@ def _measure(
     truth = scenario.true_world(state, moment)
     pose = compose(scenario.robot.pose(state.robot), mount)
     scans = truth.scans(scenario.sensors, pose, key)
-    since = scenario.control_period * scenario.steps_per_scan.astype(jnp.float32)
-    perception, reachable = scenario.perception, scenario.map_arrays.reachable
-    belief, sums = observed(perception, state.belief, state.sums, scans, pose, reachable, since)
-    progress = map_progress(sums, belief, reachable, moment.time)
+    since = scenario.onboard.since_scan
+    judge = Judge(scenario.perception, scenario.map_arrays.reachable)
+    before = judge.count_window(state.belief.grid, pose)
+    belief = scenario.perception.observe(state.belief, scans, pose, since)
+    sums = state.judged.sums.changed(before, judge.count_window(belief.grid, pose))
+    progress = map_progress(sums, belief, judge.reachable, moment.time)
+    judged = state.judged._replace(sums=sums, progress=progress)
     ranges = jnp.concatenate([scan.ranges for scan in scans])
-    state = state._replace(belief=belief, sums=sums, progress=progress, ranges=ranges)
-    return state, scans[0]
+    return state.with_belief(belief)._replace(judged=judged, ranges=ranges), scans[0]
 
 
 @eqx.filter_jit

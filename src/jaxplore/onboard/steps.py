@@ -18,9 +18,9 @@ from jaxplore.control.latency import predicted_state
 from jaxplore.control.plausibility import MAX_MISFIT, scan_misfit
 from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.robot.localisation import corrected_state
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.frames import frame_arrays
-from jaxplore.simulation.exploration.located import corrected_state
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 

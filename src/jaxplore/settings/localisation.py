@@ -9,6 +9,7 @@ from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.particle_localiser import ParticleLocaliser
 from jaxplore.localisation.particles import ParticleFilter
 from jaxplore.planning.presets.explorer import explorer
+from jaxplore.robot.localisation import Localisation
 from jaxplore.settings.defaults import in_degrees, setting
 from jaxplore.settings.sections import (
     Beams,
@@ -20,7 +21,6 @@ from jaxplore.settings.sections import (
     Section,
     Share,
 )
-from jaxplore.simulation.exploration.located import Localisation
 
 
 class LocalisationSettings(Section):

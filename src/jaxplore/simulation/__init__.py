@@ -1,5 +1,6 @@
 """Scenarios, the closed loop that runs them, and environments made of them."""
 
+from jaxplore.robot.localisation import Localisation as Localisation
 from jaxplore.simulation.batch import record_runs as record_runs
 from jaxplore.simulation.chunks import ChunkedRun as ChunkedRun
 from jaxplore.simulation.environment.action_modes import ActionMode as ActionMode
@@ -9,7 +10,6 @@ from jaxplore.simulation.environment.environment import Environment as Environme
 from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
 from jaxplore.simulation.environment.environment import StepResult as StepResult
 from jaxplore.simulation.experiment import Experiment as Experiment
-from jaxplore.simulation.exploration.located import Localisation as Localisation
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as MovingObstacles
 from jaxplore.simulation.exploration.moving_obstacles import (
     MovingObstacleState as MovingObstacleState,

@@ -3,7 +3,6 @@
 Steps do not return to Python; only chunks of steps do, see `jaxplore.simulation.chunks`.
 """
 
-import functools
 from typing import Any
 
 import equinox as eqx
@@ -12,8 +11,8 @@ import jax.numpy as jnp
 
 from jaxplore._types import Count, Key, StateVector
 from jaxplore.control.base import Controller
-from jaxplore.control.guard import GOOD, LOST, GuardState, MotionGuard
-from jaxplore.control.latency import LatencyCompensation
+from jaxplore.control.guard import GOOD
+from jaxplore.robot.decision import Driver
 from jaxplore.simulation.chunks import loop
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.simulation.state import LoopState, Moment
@@ -37,19 +36,19 @@ def moment_at(scenario: Scenario, state: LoopState, key: Key) -> Moment:
         state: state of the loop before the step.
         key: key of the whole run.
     """
-    period, faults = scenario.control_period, scenario.faults
+    period = scenario.control_period
     # Time is a multiple of the period and not a sum of periods, so rounding does not accumulate.
     time = period * state.step.astype(jnp.float32)
-    truth = scenario.measured(state.task)
-    if scenario.variation is not None and state.drawn is not None:
-        step_key = jax.random.fold_in(key, state.step)
-        truth = scenario.variation.observe(scenario.robot, truth, state.drawn, step_key)
-    if faults is None:
-        moment = Moment(state.step, time, truth, jnp.array(False), jnp.array(False))
-    else:
-        observed = faults.observe(truth, state.observed, time, period)
-        moment = Moment(state.step, time, observed, faults.is_blind(time), faults.is_active(time))
-    return _judged(scenario, state, moment)
+    found = scenario.disturbances.observe(
+        scenario.robot,
+        scenario.measured(state.task),
+        state.observed,
+        state.drawn,
+        time,
+        period,
+        jax.random.fold_in(key, state.step),
+    )
+    return _judged(scenario, state, Moment(state.step, time, *found))
 
 
 def _judged(scenario: Scenario, state: LoopState, moment: Moment) -> Moment:
@@ -91,10 +90,8 @@ def _initial_memory(controller: Controller) -> Any:
 
 @eqx.filter_jit
 def _initial_task(scenario: Scenario, key: Key | None) -> LoopState:
-    delay = 0 if scenario.faults is None else scenario.faults.control_delay
     robot, variation = scenario.robot, scenario.variation
-    # There is room for the longest delay of any episode.
-    delay += 0 if variation is None else variation.control_delay[1]
+    delay = scenario.disturbances.longest_delay
     return LoopState(
         task=scenario.init(key)[0],
         controller=(),
@@ -135,61 +132,23 @@ def control_step(
         key: key of the whole run.
     """
     _, control_key = step_keys(key, state.step)
-    guard, watch = scenario.guard, moment.guard
-    start = moment.observed
-    if guard is not None and watch is not None:
-        start = _start_of_plan(controller, scenario, guard, watch)
-    control, memory, info = controller.step(state.controller, start, belief, key=control_key)
-    if guard is not None and watch is not None:
-        # A command that is not finite is none: the robot's base then brakes.
-        is_stopped = watch.stop != GOOD
-        control = jnp.where(is_stopped, jnp.nan, control)
-        seen = scenario.scan_points(state.task)
-        args = (start, control, seen, moment.time, scenario.control_period)
-        control = guard.keep_clear(scenario.robot, watch, *args)
-        # The controller starts anew from rest: its plan was not executed.
-        memory = jax.tree.map(functools.partial(jnp.where, is_stopped), controller.init(), memory)
-        watch = guard.sent(scenario.robot, watch, control)
-        # A plan that was not asked for is no failure of the controller.
-        info = info._replace(is_finite=info.is_finite | (is_stopped & (watch.stop != LOST)))
-    pending, plant, drawn = state.pending, scenario, state.drawn
-    if scenario.variation is not None and drawn is not None:
-        pending, control = scenario.variation.delay(pending, control, drawn)
-        step_key = jax.random.fold_in(key, state.step)
-        robot = scenario.variation.robot(scenario.robot, drawn, step_key)
-        # Only the motion has the true robot: the measurements read nothing of it but its pose.
-        plant = eqx.tree_at(lambda each: each.robot, scenario, robot)
-    elif scenario.faults is not None:
-        pending, control = scenario.faults.delay(pending, control)
-    if guard is not None and watch is not None:
-        robot, period = scenario.robot, scenario.control_period
-        points, braked = scenario.scan_points(state.task), watch
-        # A loop of one iteration or none. Under vmap a branch would be taken in every step of every
-        # run, while a loop is skipped if no run brakes.
-        control = jax.lax.fori_loop(
-            0,
-            jnp.where(jnp.isfinite(control).all(), 0, 1),
-            lambda *_: guard.braking(robot, braked, state.task.robot, points, period),
-            control,
-        )
-        watch = guard.moved(robot, watch, state.task.robot, control, period)
-    task, record = plant.advance(state.task, control, moment, info)
+    robot, points, time = scenario.robot, scenario.scan_points(state.task), moment.time
+    driver = Driver(robot, controller, scenario.guard, scenario.control_period)
+    given = state.controller, moment.guard, moment.observed, belief, points, time
+    sent = driver.decide(*given, control_key)
+    pending, control = scenario.disturbances.delay(state.pending, sent.control, state.drawn)
+    control, watch = driver.actuate(sent.guard, control, state.task.robot, points)
+    # Only the motion has the true robot: the measurements read nothing of it but its pose.
+    true_robot = scenario.disturbances.true_robot(robot, state.drawn, key, state.step)
+    plant = scenario
+    if true_robot is not robot:
+        plant = eqx.tree_at(lambda each: each.robot, scenario, true_robot)
+    task, record = plant.advance(state.task, control, moment, sent.info)
     # The last finite observation is kept: a frozen odometry repeats it, even after a loss.
-    measured = moment.observed if moment.measured is None else moment.measured
-    observed = jnp.where(jnp.isfinite(measured).all(), measured, state.observed)
-    return LoopState(task, memory, state.step + 1, observed, pending, drawn, watch), record
-
-
-def _start_of_plan(
-    controller: Controller, scenario: Scenario, guard: MotionGuard, watch: GuardState
-) -> StateVector:
-    """Return the state from which the controller plans; NaN where the robot is stopped."""
-    period = scenario.control_period
-    # A controller that compensates for a latency itself needs no prediction for it.
-    latency = controller.latency if isinstance(controller, LatencyCompensation) else 0.0 * period
-    known = jnp.round(latency / period).astype(jnp.int32)
-    ahead = guard.ahead(scenario.robot, watch, known, period)
-    return jnp.where(watch.stop == GOOD, ahead, jnp.nan)
+    last = moment.observed if moment.measured is None else moment.measured
+    observed = jnp.where(jnp.isfinite(last).all(), last, state.observed)
+    after = LoopState(task, sent.memory, state.step + 1, observed, pending, state.drawn, watch)
+    return after, record
 
 
 @eqx.filter_jit(donate="all-except-first")

@@ -23,6 +23,7 @@ from jaxplore.report.compute import Timing
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording, moved_records
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.disturbances import Disturbances
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.state import LoopState, Moment
 from jaxplore.simulation.variation import Variation
@@ -93,6 +94,11 @@ class Scenario(eqx.Module):
         """
         _kinds.instance("guard", guard, MotionGuard, may_be_none=True)
         return with_field(self, "guard", guard)
+
+    @property
+    def disturbances(self) -> Disturbances:
+        """What the true robot differs by from its model, and what fails."""
+        return Disturbances(self.faults, self.variation)
 
     def measured(self, state: Any) -> StateVector:
         """Return the state (nx,) that the robot's base measures: by default the true one.

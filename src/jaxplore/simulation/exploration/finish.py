@@ -1,19 +1,16 @@
 """When an exploration is finished or given up, and what counts then."""
 
 import math
-from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxplore._types import Count, Flag, Position, Scalar
-from jaxplore.belief.belief import Belief
-from jaxplore.belief.exploration_field import leads_to_information
-from jaxplore.belief.zones import UNKNOWN, entropy_proxy
 from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
+from jaxplore.robot.knowledge import Knowledge
 
 NEVER = "never"
 TARGETS = ("coverage", "information", "walls", NEVER)
@@ -70,46 +67,6 @@ def chosen_target(target: str | None, *, has_coverage: bool, is_patrol: bool) ->
             f"target is {target!r} without a target_coverage; accepted: with a share in (0, 1]"
         )
     return target
-
-
-class Knowledge(NamedTuple):
-    """What a robot knows of what is left, by its own map.
-
-    Args:
-        idle: time since a place was last worth a visit [s].
-        walls: share of the cells around known free space that are known to be walls; the others are
-            unknown. It is counted for the target `walls` alone.
-    """
-
-    idle: Scalar
-    walls: Scalar
-
-    @classmethod
-    def nothing(cls) -> "Knowledge":
-        """Return the knowledge before the first scan."""
-        return cls(jnp.zeros(()), jnp.zeros(()))
-
-    def after(self, belief: Belief, position: Position, period: Scalar) -> "Knowledge":
-        """Return the knowledge a control period later.
-
-        Args:
-            belief: the robot's belief.
-            position: where it takes itself to be (x, y) [m].
-            period: control period [s].
-        """
-        is_worth = leads_to_information(belief.guidance(position))
-        return self._replace(idle=jnp.where(is_worth, 0.0, self.idle + period))
-
-    def count_walls(self, grid: OccupancyGrid) -> "Knowledge":
-        """Return the knowledge with the share of walls of a map."""
-        free = jnp.pad(grid.is_free, 1)
-        beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
-        walls, unknown = (
-            jnp.sum(beside & each, dtype=jnp.int32)
-            for each in (grid.is_occupied, entropy_proxy(grid.probability) > UNKNOWN)
-        )
-        share = walls.astype(jnp.float32) / jnp.maximum(walls + unknown, 1).astype(jnp.float32)
-        return self._replace(walls=share)
 
 
 def is_finished(

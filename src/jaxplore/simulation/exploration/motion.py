@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from jaxplore._types import ControlVector, Count, Flag, Scalar
+from jaxplore._types import ControlVector, Count, Flag, Pose, Scalar
 from jaxplore.control.base import Info
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.chassis import Chassis
@@ -64,6 +64,15 @@ def move(
         targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
         stop=stop,
         **({} if wheels is None else wheels.recorded()),
-        **({} if state.located is None else state.located.recorded(robot.pose(state.robot))),
+        **_error(state, robot.pose(state.robot)),
     )
     return record, wheels
+
+
+def _error(state: ExplorationState, pose: Pose) -> dict[str, Scalar]:
+    """Return the error of the robot's pose in a record; nothing if it knows its pose."""
+    if state.own.place is None:
+        return {}
+    known = state.own.place.known
+    away = known.pose - pose
+    return {"pose_error": jnp.hypot(away[0], away[1]), "uncertainty": known.uncertainty}

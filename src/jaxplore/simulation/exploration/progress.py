@@ -1,19 +1,14 @@
 """Statistics of the known map."""
 
-import dataclasses
-from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
-from jaxplore._types import Count, GridMask, GridValues, Pose, Scalar
+from jaxplore._types import Count, GridMask, GridValues, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import UNKNOWN, entropy_proxy
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, entropy
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.sensing.beams import Scan
 
 
 class MapSums(NamedTuple):
@@ -34,6 +29,12 @@ class MapSums(NamedTuple):
     unknown_map: Count
     entropy: Scalar
     rest: Scalar
+
+    @classmethod
+    def none(cls) -> "MapSums":
+        """Return the sums over no cells."""
+        number, nothing = jnp.zeros((), jnp.int32), jnp.zeros(())
+        return cls(number, number, number, number, nothing, nothing)
 
     @classmethod
     def of(cls, probability: GridValues, reachable: GridMask) -> "MapSums":
@@ -76,41 +77,6 @@ class MapSums(NamedTuple):
             entropy=total,
             rest=change - (total - self.entropy),
         )
-
-
-def observed(
-    perception: Perception,
-    belief: Belief,
-    sums: MapSums,
-    scans: Sequence[Scan],
-    pose: Pose,
-    reachable: GridMask,
-    elapsed: Scalar,
-    time: Scalar | None = None,
-) -> tuple[Belief, MapSums]:
-    """Update a belief by scans, and the sums over its map by what has changed.
-
-    Args:
-        perception: updates the belief.
-        belief: belief before the scans.
-        sums: sums over its map.
-        scans: one for each sensor.
-        pose: estimated pose (x, y, yaw) of the robot [m, m, rad].
-        reachable: (H, W) cells that the robot's centre can reach.
-        elapsed: time since the last scans [s].
-        time: time since the start [s]; the sum of the times elapsed when absent.
-    """
-    window = perception.window(belief.grid, pose)
-    counted = window.read(reachable)
-    before = MapSums.of(window.read(belief.grid.probability), counted)
-    # Behind the barrier nothing reads the old map any more, so it is changed in place: without it
-    # XLA would copy the map.
-    barrier = jax.lax.optimization_barrier
-    probability, before = barrier((belief.grid.probability, before))  # type: ignore[no-untyped-call]
-    belief = dataclasses.replace(belief, grid=belief.grid.with_probability(probability))
-    belief = perception.observe(belief, scans, pose, elapsed, time)
-    after = MapSums.of(window.read(belief.grid.probability), counted)
-    return belief, sums.changed(before, after)
 
 
 def map_progress(sums: MapSums, belief: Belief, reachable: GridMask, time: Scalar) -> MapProgress:

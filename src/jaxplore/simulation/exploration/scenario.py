@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -54,13 +53,15 @@ from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Frame
+from jaxplore.robot.clock import whole_steps
+from jaxplore.robot.localisation import Localisation, corrected_state
+from jaxplore.robot.robot import Robot
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.lidar import is_any_turning
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
 from jaxplore.simulation.exploration.carrying import carried, check_carrying, landing
-from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.finish import (
     NEVER,
     TARGETS,
@@ -71,18 +72,17 @@ from jaxplore.simulation.exploration.finish import (
     is_finished,
 )
 from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
-from jaxplore.simulation.exploration.located import (
-    Localisation,
-    corrected_state,
-)
+from jaxplore.simulation.exploration.judge import Judge, thin
 from jaxplore.simulation.exploration.map_arrays import MapArrays
+from jaxplore.simulation.exploration.measuring import Measuring
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
 from jaxplore.simulation.exploration.planted import PlantedAnomalies
+from jaxplore.simulation.exploration.progress import MapSums
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
 from jaxplore.simulation.exploration.recording import make_recording
-from jaxplore.simulation.exploration.senses import Senses
-from jaxplore.simulation.exploration.state import ExplorationState, initial_state
+from jaxplore.simulation.exploration.state import ExplorationState, Sensed, initial_state
 from jaxplore.simulation.exploration.true_objects import TrueObjects, true_objects
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
@@ -415,10 +415,11 @@ class ExplorationScenario(Scenario):
         if moving is not None and key is not None:
             moving = moving.at_random_phase(key)
         reachable, number = self.map_arrays.reachable, self.num_targets
-        located, start = None, self.robot.pose(self.start)
+        place, odometer, pose = None, None, self.robot.pose(self.start)
         if self.localisation is not None:
-            located = self.localisation.init(start, belief.grid, self.sensors, key)
-            belief = self.localisation.informed(located, belief)
+            place = self.localisation.init(pose, belief.grid, self.sensors, estimator_key(key))
+            odometer = Odometer.at_start(self.localisation.odometry, key)
+            belief = self.localisation.inform(place, belief)
         state = initial_state(
             self.start,
             belief,
@@ -426,9 +427,11 @@ class ExplorationScenario(Scenario):
             number,
             moving,
             self.sensors,
+            pose=pose,
             is_guarded=self.guard is not None,
             can_tip=self.chassis is not None,
-            located=located,
+            place=place,
+            odometer=odometer,
         )._replace(
             landing=landing(self.faults, reachable, belief.grid.frame, key),
             control=self.robot.default_control if is_any_turning(self.sensors) else None,
@@ -437,9 +440,10 @@ class ExplorationScenario(Scenario):
 
     def measured(self, state: ExplorationState) -> StateVector:
         """Return the state (nx,) that the robot takes to be its own; see `Localisation`."""
-        if self.localisation is None or state.located is None:
+        place, odometer = state.own.place, state.odometer
+        if self.localisation is None or place is None or odometer is None:
             return state.robot
-        return self.localisation.observed(state.located, self.robot, state.robot)
+        return self.localisation.observed(place, odometer.errors, self.robot, state.robot)
 
     @property
     def steps_per_revision(self) -> int | None:
@@ -451,60 +455,103 @@ class ExplorationScenario(Scenario):
     def revised(self, state: LoopState) -> LoopState:
         """Return the state with the map moved where a loop was closed."""
         task: ExplorationState = state.task
-        if self.localisation is None or task.located is None:
+        before, track = task.own.place, task.judged.track
+        if self.localisation is None or before is None or track is None:
             return state
-        start, before = self.robot.pose(self.start), task.located.known.pose
-        located, belief = self.localisation.revised(
-            task.located, task.belief, self.perception, self.map_arrays.prior, start
+        place, belief = self.localisation.close_loops(
+            *(before, task.belief, self.perception, self.map_arrays.prior),
+            self.robot.pose(self.start),
         )
-        after = located.known.pose
-        moved = functools.partial(corrected_state, self.robot, before=before, after=after)
+        if int(place.known.scans.number) < int(before.known.scans.number):
+            track = thin(track)
+        poses = before.known.pose, place.known.pose
+        moved = functools.partial(corrected_state, self.robot, before=poses[0], after=poses[1])
         guard = state.guard
         if guard is not None:
             # The correction is no jump of the robot.
             guard = guard._replace(expected=moved(guard.expected))
-        task = task._replace(located=located, belief=belief)
+        own = task.own._replace(place=place, belief=belief)
+        task = task._replace(own=own, judged=task.judged._replace(track=track))
         return state._replace(task=task, observed=moved(state.observed), guard=guard)
 
     def perceive(
         self, state: ExplorationState, moment: Moment, key: Key
     ) -> tuple[ExplorationState, Belief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        senses, gain = self.senses, state.gain
-        state = senses.perceive(state, self.true_world(state, moment), moment, key)
+        gain, onboard = state.gain, self.onboard
+        sensed = self.sense(state, self.true_world(state, moment), moment, key)
+        own = onboard.track_told(sensed.state.own, sensed.measured, sensed.sight)
+        own = onboard.update_fields(own, sensed.measured, sensed.sight)
+        state = sensed.state._replace(own=own)
         place = self.robot.position(self.measured(state))
-        known = state.known.after(state.belief, place, self.control_period)
+        state = state._replace(own=onboard.learn(own, place, moment.step))
         if self.counts_walls:
-            known = jax.lax.cond(
-                senses.is_scan_due(moment.step),
-                lambda: known.count_walls(state.belief.grid),
-                lambda: known,
-            )
-            state = state._replace(gain=gain.after(known.walls, self.control_period))
-        state = state._replace(known=known)
+            walls = state.own.knowledge.walls
+            state = state._replace(gain=gain.after(walls, self.control_period))
         return state, state.belief
 
+    def sense(
+        self,
+        state: ExplorationState,
+        truth: TrueWorld,
+        moment: Moment,
+        key: Key,
+        *,
+        is_told: bool = True,
+    ) -> Sensed:
+        """Measure, let the robot map its scans, and judge what it knows then.
+
+        Args:
+            state: state of the task before.
+            truth: the true world at the moment.
+            moment: time, step and observed state of the robot.
+            key: random key of the step's measurements.
+            is_told: whether a robot that finds no moving obstacles itself is told of them; static.
+        """
+        onboard, judge = self.onboard, Judge(self.perception, self.map_arrays.reachable)
+        measured, ranges = self.measuring.measure(state, truth, moment, key, is_told=is_told)
+        is_due, pose = onboard.is_scan_due(moment.step), self.robot.pose(state.robot)
+        own, sight = onboard.examine(state.own, measured)
+        before, place = MapSums.none(), own.place
+        if place is None:
+            before, own = judge.count_before(own, is_due, sight)
+        own, is_mapped = onboard.map_scans(own, measured, sight)
+        recognition = self.perception.recognition
+        judged = judge.judge(
+            *(state.judged, before, own, measured, sight, is_mapped),
+            is_due=is_due,
+            pose=pose,
+            place=place,
+            find=lambda: self.sensors[0].sees(truth.grid, pose, self.targets, truth.ground),
+            target_class=None if recognition is None else recognition.target,
+        )
+        gain = state.gain.after(judged.progress.coverage, self.control_period)
+        state = state._replace(own=own, judged=judged, gain=gain, ranges=ranges)
+        return Sensed(state, measured, sight)
+
     @property
-    def senses(self) -> Senses:
-        """Sensors of the robot, and what updates its belief."""
-        return Senses(
+    def measuring(self) -> Measuring:
+        """What measures in the true world."""
+        return Measuring(self.onboard, self.objects, self.tracking_noise)
+
+    @property
+    def onboard(self) -> Robot:
+        """What runs on board of the robot, which knows no truth."""
+        return Robot(
             self.robot,
             self.sensors,
             self.perception,
-            self.map_arrays.reachable,
-            self.targets,
-            self.objects,
-            self.tracking_noise,
             self.control_period,
             self.steps_per_scan,
             self.steps_per_field,
             self.localisation,
             None if self.localisation is None else self.map_arrays.prior,
+            self.counts_walls,
         )
 
     def scan_points(self, state: ExplorationState) -> ScanPoints:
         """Return the newest scan for the guard."""
-        return ScanPoints.blank(1) if state.points is None else state.points
+        return ScanPoints.blank(1) if state.own.points is None else state.own.points
 
     def advance(
         self, state: ExplorationState, control: ControlVector, moment: Moment, info: Info
@@ -528,17 +575,24 @@ class ExplorationScenario(Scenario):
             stop=moment.stop,
             chassis=self.chassis,
         )
-        located = state.located
-        if self.localisation is not None and located is not None:
+        own, odometer, judged = state.own, state.odometer, state.judged
+        if self.localisation is not None and own.place is not None and odometer is not None:
             poses = self.robot.pose(state.robot), self.robot.pose(record.state)
-            located = self.localisation.moved(located, *poses, moment.step, self.control_period)
+            increment, odometer = odometer.measure(
+                self.localisation.odometry, *poses, moment.step, self.control_period
+            )
+            place = self.localisation.predict(own.place, increment, self.control_period)
+            own = own._replace(place=place)
+            if judged.track is not None:
+                judged = judged._replace(track=judged.track.after_motion(increment))
         if self.faults is not None and state.landing is not None:
             # After the odometry has measured the step: it does not notice.
             is_carried = self.faults.is_carried(moment.time, self.control_period)
             record = carried(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
-        state = state.moved(record.state, control)
-        state = state._replace(wheels=wheels, located=located, motion=motion)
+        state = state.moved(record.state, control)._replace(
+            own=own, judged=judged, motion=motion, wheels=wheels, odometer=odometer
+        )
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -565,7 +619,7 @@ class ExplorationScenario(Scenario):
         if check is not None:
             # A robot that finds its pose is where it takes itself to be.
             is_there = check.is_reached(self.robot.pose(self.measured(state)), state.motion)
-        end = (self.ends_by, self.target_coverage, state.known, is_there, self.max_unknown)
+        end = (self.ends_by, self.target_coverage, state.own.knowledge, is_there, self.max_unknown)
         return is_finished(state.progress, state.is_seen, *end, counts_walls=self.counts_walls)
 
     def is_given_up(self, state: ExplorationState) -> Flag:
@@ -580,7 +634,7 @@ class ExplorationScenario(Scenario):
         since = state.gain.since
         if self.counts_walls:
             # Walls that are seen from far away through gaps grow for ever, a cell at a time.
-            since = jnp.maximum(since, state.known.idle)
+            since = jnp.maximum(since, state.own.knowledge.idle)
         return is_judged & (since >= self.give_up_after)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
@@ -599,7 +653,7 @@ class ExplorationScenario(Scenario):
         """Return the belief, a scan, and the plan before a step; see `ExplorationFrame`."""
         truth = self.true_world(state, moment)
         # Only the scan of the first sensor is drawn: it is the one that fills the map.
-        motion = self.senses.scan_motion(state, moment)
+        motion = self.measuring.scan_motion(state, moment)
         scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key, motion)
         plan = None if inspect is None else inspect(moment.observed, state.belief)
         return frame_arrays(self.robot, self.sensors[0], state, scan, truth.discs, plan)
@@ -636,8 +690,8 @@ class ExplorationScenario(Scenario):
         planted, how = self.planted, self.perception.recognition
         after: ExplorationState = run.state.task
         is_given_up, place = bool(self.is_given_up(after)), None
-        if self.localisation is not None and after.located is not None:
-            place = self.localisation.data(after.located, after.belief.grid)
+        if after.own.place is not None and after.judged.track is not None:
+            place = after.judged.track.data(after.own.place, after.belief.grid)
         local = make_recording(
             *(before, run, *parts, *end, names, planted, self.objects, how, place),
             is_given_up=is_given_up,

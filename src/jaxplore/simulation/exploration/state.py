@@ -15,50 +15,44 @@ from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.exploration.data import MapProgress
+from jaxplore.robot.knowledge import Knowledge
+from jaxplore.robot.localisation import PoseKnowledge
+from jaxplore.robot.robot import Measurement, RobotState, Sight
 from jaxplore.sensing.base import Sensor
-from jaxplore.simulation.exploration.finish import Knowledge
-from jaxplore.simulation.exploration.located import Located
+from jaxplore.simulation.exploration.judge import Judged, TrueTrack
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
-from jaxplore.simulation.exploration.progress import MapSums, map_progress
+from jaxplore.simulation.exploration.odometer import Odometer
 from jaxplore.simulation.exploration.wheels import Wheels
 
 
 class ExplorationState(NamedTuple):
-    """State of the exploration task.
+    """State of the exploration task: what is true, what the robot knows, and what is said of it.
 
     Args:
         robot: (nx,) true state of the robot.
-        belief: the robot's belief.
-        sums: sums over the cells of the known map, as of the last map update.
-        progress: statistics of the known map, likewise.
+        own: what the robot knows.
+        judged: what the record says of its knowledge.
         gain: the last rise of the coverage.
         finished: number of steps since the task was finished; 0 before.
-        is_seen: (M,) whether each target has been found: seen, or recognised by a detector.
         moving_obstacles: moving obstacles with their drawn starts; None without any.
         ranges: (B,) ranges of the last scan, sensor by sensor [m].
-        points: end points of the last scan, for the guard; None without one.
-        wheels: the vehicle on its wheels; None for a robot that cannot tip over.
-        located: localisation of the robot; None if it knows its pose.
         motion: motion of the robot in the last step.
-        known: what the robot knows of what is left.
+        wheels: the vehicle on its wheels; None for a robot that cannot tip over.
+        odometer: odometry of the run; None if the robot knows its pose.
         landing: pose to which a fault carries the robot; None without such a fault.
         control: (nu,) control of the last step, for a lidar that turns; None without one.
     """
 
     robot: StateVector
-    belief: Belief
-    sums: MapSums
-    progress: MapProgress
+    own: RobotState
+    judged: Judged
     gain: Gain
     finished: Count
-    is_seen: Bool[Array, " M"]
     moving_obstacles: MovingObstacles | None
     ranges: Float[Array, " B"]
     motion: Motion
-    known: Knowledge
-    points: ScanPoints | None = None
     wheels: Wheels | None = None
-    located: Located | None = None
+    odometer: Odometer | None = None
     landing: Pose | None = None
     control: ControlVector | None = None
 
@@ -71,6 +65,39 @@ class ExplorationState(NamedTuple):
         """
         kept = None if self.control is None else control
         return self._replace(robot=robot, control=kept)
+
+    @property
+    def belief(self) -> Belief:
+        """What the robot believes."""
+        return self.own.belief
+
+    @property
+    def progress(self) -> MapProgress:
+        """Statistics of the known map, as of the last map update."""
+        return self.judged.progress
+
+    @property
+    def is_seen(self) -> Bool[Array, " M"]:
+        """Whether each of the M targets has been found."""
+        return self.judged.is_seen
+
+    def with_belief(self, belief: Belief) -> "ExplorationState":
+        """Return the state with another belief."""
+        return self._replace(own=self.own._replace(belief=belief))
+
+
+class Sensed(NamedTuple):
+    """A period after the scans, before the fields follow.
+
+    Args:
+        state: state of the task, with the scans in the map.
+        measured: what the robot measured.
+        sight: where and whether the scans were taken.
+    """
+
+    state: ExplorationState
+    measured: Measurement
+    sight: Sight
 
 
 def max_ranges(sensors: Sequence[Sensor]) -> np.ndarray:
@@ -88,9 +115,11 @@ def initial_state(
     moving: MovingObstacles | None,
     sensors: Sequence[Sensor],
     *,
+    pose: Pose,
     is_guarded: bool = False,
     can_tip: bool = False,
-    located: Located | None = None,
+    place: PoseKnowledge | None = None,
+    odometer: Odometer | None = None,
 ) -> ExplorationState:
     """Return the state at the start.
 
@@ -101,30 +130,29 @@ def initial_state(
         num_targets: number of targets.
         moving: moving obstacles; None without any.
         sensors: the sensors.
+        pose: pose of the robot [m, m, rad].
         is_guarded: whether a guard needs the end points of scans.
         can_tip: whether the robot has a chassis that can tip over.
-        located: localisation at the start; None if the robot knows its pose.
+        place: what the robot knows of its pose at the start; None if its odometry tells it.
+        odometer: odometry of the run; None likewise.
     """
     number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None and belief.tracks is None:
         belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
-    sums = MapSums.of(belief.grid.probability, reachable)
-    progress = map_progress(sums, belief, reachable, jnp.zeros(()))
+    track = None if place is None else TrueTrack.at_start(pose, place, belief.grid)
+    judged = Judged.at_start(belief, reachable, num_targets, track)
+    points = None
+    if is_guarded:
+        points = ScanPoints.blank(number, 0.0, can_move=belief.tracks is not None)
     return ExplorationState(
         robot=start,
-        belief=belief,
-        sums=sums,
-        progress=progress,
-        gain=Gain(progress.coverage, jnp.zeros(())),
+        own=RobotState(belief, Knowledge.nothing(), points, place),
+        judged=judged,
+        gain=Gain(judged.progress.coverage, jnp.zeros(())),
         finished=jnp.zeros((), jnp.int32),
-        is_seen=jnp.zeros(num_targets, bool),
         moving_obstacles=moving,
         ranges=jnp.asarray(max_ranges(sensors)),
-        points=ScanPoints.blank(number, 0.0, can_move=belief.tracks is not None)
-        if is_guarded
-        else None,
         motion=Motion(jnp.zeros(()), jnp.zeros(())),
-        known=Knowledge.nothing(),
         wheels=Wheels.at_rest() if can_tip else None,
-        located=located,
+        odometer=odometer,
     )

@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplore import _kinds
-from jaxplore._types import Key, Pose, Scalar
+from jaxplore._types import Key, Pose
 from jaxplore._xla import on_device
-from jaxplore.belief.recognition import ObjectClasses, Recognition
+from jaxplore.belief.recognition import Recognition
 from jaxplore.maps.datum import Datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.world import LabelledObject
+from jaxplore.robot.robot import Look
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.checks import check_spots
 from jaxplore.simulation.exploration.true_world import TrueWorld
@@ -35,27 +36,18 @@ class TrueObjects(NamedTuple):
     place: Float[Array, "N 2"]
     label: Int[Array, " N"]
 
-    def looked_at(
-        self,
-        known: ObjectClasses,
-        recognition: Recognition,
-        truth: TrueWorld,
-        sensor: Sensor,
-        pose: Pose,
-        time: Scalar,
-        key: Key,
-    ) -> ObjectClasses:
-        """Return what the robot knows of the objects after an image.
+    def look(
+        self, recognition: Recognition, truth: TrueWorld, sensor: Sensor, pose: Pose, key: Key
+    ) -> Look:
+        """Return what a detector says of the objects in an image.
 
         Positions and distances are measured without error.
 
         Args:
-            known: what it knew before.
-            recognition: its detector, and the update.
+            recognition: the robot's detector.
             truth: the true world.
             sensor: the camera.
             pose: true pose of the robot [m, m, rad].
-            time: time since the start [s].
             key: random key of the step's measurements.
         """
         detections = recognition.detector.detect(
@@ -64,7 +56,7 @@ class TrueObjects(NamedTuple):
             sensor.sees(truth.grid, pose, self.place, truth.ground),
             key=jax.random.fold_in(key, DETECTION),
         )
-        return recognition.update(known, detections, self.place, pose[:2], time)
+        return Look(detections, self.place, pose[:2])
 
 
 def true_objects(

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Flag, GridMask, Key, Pose, Scalar, StateVector
-from jaxplore.belief.obstacles import Obstacles
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.geometry.motion import between, compose, placed
+from jaxplore.geometry.motion import compose
 from jaxplore.maps.collision import discs_clearance, footprint_clearance
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.robot.robot import Told
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.lidar import Lidar
@@ -100,45 +100,32 @@ class TrueWorld(eqx.Module):
         )
         return project_scan(scan, sensor, mount.poses(known, times))
 
-    def tracked(
-        self,
-        known: Obstacles | None,
-        sensors: Sequence[Sensor],
-        pose: Pose,
-        noise: Float[Array, "2"],
-        key: Key,
-        known_pose: Pose | None = None,
-    ) -> Obstacles | None:
-        """Update the known obstacles by noisy measurements of those in sight of any sensor.
+    def tell(
+        self, sensors: Sequence[Sensor], pose: Pose, noise: Float[Array, "2"], key: Key
+    ) -> Told | None:
+        """Measure the moving obstacles in sight of any sensor, for a robot that is told of them.
 
         Args:
-            known: obstacles as the robot knows them; None without any.
             sensors: the sensors.
             pose: true pose (x, y, yaw) of the robot [m, m, rad].
             noise: standard deviations of measured positions [m] and velocities [m/s].
             key: random key of the step's measurements.
-            known_pose: pose at which the robot takes itself to be, from which it places them; the
-                true one when absent.
+
+        Returns:
+            The measurement; None if there are none.
         """
-        if known is None or self.moving is None:
-            return known
+        if self.moving is None:
+            return None
         now = self.moving.at(self.time)
         position_std, velocity_std = noise
         keys = jax.random.split(jax.random.fold_in(key, START_OF_MOVING), 2)
         in_sight = [sensor.sees(self.grid, pose, now.positions, self.ground) for sensor in sensors]
-        positions, velocities = now.positions, now.velocities
-        if known_pose is not None:
-            # What brings the true pose to the known one moves the obstacles as well.
-            moving = compose(known_pose, between(pose, jnp.zeros(3)))
-            positions = placed(moving, positions)
-            velocities = placed(moving * jnp.array([0.0, 0.0, 1.0]), velocities)
-        return known.update(
-            positions + position_std * jax.random.normal(keys[0], now.positions.shape),
-            velocities + velocity_std * jax.random.normal(keys[1], now.velocities.shape),
+        return Told(
+            now.positions + position_std * jax.random.normal(keys[0], now.positions.shape),
+            now.velocities + velocity_std * jax.random.normal(keys[1], now.velocities.shape),
             functools.reduce(jnp.logical_or, in_sight),
             position_std,
-            # The scenario predicts the obstacles at every step, so none of the time is left here.
-            jnp.zeros(()),
+            pose,
         )
 
     def clearance(self, robot: Dynamics, state: StateVector, reach: int) -> Scalar:

@@ -115,7 +115,7 @@ def with_assignments(
         if chosen >= 0:
             claims = ELSEWHERE * (_nearest_cluster(clusters, claims.shape, stride) != chosen)
         belief = dataclasses.replace(state.belief, claims=on_device(claims.astype(np.float32)))
-        after.append(state._replace(belief=belief))
+        after.append(state.with_belief(belief))
     return tuple(after)
 
 

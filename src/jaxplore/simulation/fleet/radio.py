@@ -278,7 +278,8 @@ def exchange(
             clearance=dataclasses.replace(state.belief.clearance, values=clearance),
         )
         progress = map_progress(sums, belief, one.map_arrays.reachable, time)
-        after.append(state._replace(belief=belief, sums=sums, progress=progress))
+        judged = state.judged._replace(sums=sums, progress=progress)
+        after.append(state.with_belief(belief)._replace(judged=judged))
     maps = tuple(probability for probability, *_ in found)
     told = heard.lengths
     if with_lengths:
@@ -299,5 +300,5 @@ def exchange(
                 decay_length=one.perception.decay_length,
             )
             belief = dataclasses.replace(after[at].belief, claims=cost)
-            after[at] = after[at]._replace(belief=belief)
+            after[at] = after[at].with_belief(belief)
     return Exchanged(tuple(after), Heard(received, told, version), maps, sent)

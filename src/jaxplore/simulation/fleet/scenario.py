@@ -22,8 +22,8 @@ from jaxplore.dynamics.formation import Formation, extent
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord, moved_records
 from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults

@@ -13,7 +13,8 @@ from jaxplore._alike import Alike
 from jaxplore._types import Flag, Key, Pose
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
-from jaxplore.simulation.exploration.clock import when_due
+from jaxplore.robot.clock import when_due
+from jaxplore.robot.robot import tell
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs, MovingObstacles
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -25,10 +26,10 @@ from jaxplore.simulation.state import Moment
 class TeamSenses(NamedTuple):
     """The sensors of the robots of a fleet in the true world, and what updates their beliefs.
 
-    It does what `Senses.perceive` does for each robot. What takes long to compile and reads little
-    of the maps, tracking and guidance, is one compiled body for equal robots. Scans and information
-    fields change large arrays in place: a loop over robots would copy them, so each robot has a
-    part of its own for them.
+    It does what `ExplorationScenario.perceive` does for each robot. What takes long to compile and
+    reads little of the maps, tracking and guidance, is one compiled body for equal robots. Scans
+    and information fields change large arrays in place: a loop over robots would copy them, so each
+    robot has a part of its own for them.
 
     Args:
         explorations: exploration of each of the M robots that this process computes.
@@ -59,9 +60,8 @@ class TeamSenses(NamedTuple):
         """
         scenarios = self.explorations.all
         if discs is None:
-            one, own = scenarios[0], moment._replace(observed=observed[0])
-            truth = one.true_world(members[0], own)
-            return (one.senses.perceive(members[0], truth, own, keys[0]),)
+            own = moment._replace(observed=observed[0])
+            return (scenarios[0].perceive(members[0], own, keys[0])[0],)
         around = [
             jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs)
             for i in self.places
@@ -72,8 +72,8 @@ class TeamSenses(NamedTuple):
         ):
             own = moment._replace(observed=seen)
             truth = _among(one.true_world(each, own), each.moving_obstacles, beside)
-            scanned.append(one.senses.scanned(each, truth, own, key))
-        first = scenarios[0].senses
+            scanned.append(one.sense(each, truth, own, key, is_told=False))
+        first = scenarios[0].onboard
         states = [each.state for each in scanned]
         known = jax.lax.cond(
             first.is_scan_due(moment.step),
@@ -83,7 +83,7 @@ class TeamSenses(NamedTuple):
             [each.moving_obstacles for each in states],
             around,
             [each.robot for each in states],
-            [each.is_taken for each in scanned],
+            [each.sight.is_taken for each in scanned],
             list(keys),
         )
         is_due = first.are_fields_due(moment.step)
@@ -91,17 +91,19 @@ class TeamSenses(NamedTuple):
         for one, sensed, obstacles in zip(scenarios, scanned, known, strict=True):
             belief = dataclasses.replace(sensed.state.belief, obstacles=obstacles)
             inform = functools.partial(_informed, one)
-            beliefs += when_due(is_due, sensed.is_placed, inform, (belief,))
+            beliefs += when_due(is_due, sensed.sight.is_placed, inform, (belief,))
         # What reads an information field is apart from what changes it in place: within one branch
         # XLA would copy the field of every robot, twice.
         guided = jax.lax.cond(
             is_due,
             self._guided,
             lambda beliefs, *_: [_guidance(each) for each in beliefs],
-            *(beliefs, [each.pose for each in scanned], [each.is_placed for each in scanned]),
+            beliefs,
+            [each.sight.pose for each in scanned],
+            [each.sight.is_placed for each in scanned],
         )
         return tuple(
-            each.state._replace(belief=dataclasses.replace(belief, **fields))
+            each.state.with_belief(dataclasses.replace(belief, **fields))
             for each, belief, fields in zip(scanned, beliefs, guided, strict=True)
         )
 
@@ -121,12 +123,12 @@ class TeamSenses(NamedTuple):
         ) -> Obstacles:
             truth = _among(one.world_at(moving, moment), moving, beside)
             pose = one.robot.pose(robot)
-            tracked: Obstacles = jax.lax.cond(
-                is_taken,
-                lambda before: one.senses.tracked(before, truth, pose, key),
-                lambda before: before,
-                obstacles,
-            )
+
+            def update(before: Obstacles) -> Obstacles:
+                told = truth.tell(one.sensors, pose, one.tracking_noise, key)
+                return before if told is None else tell(before, told)
+
+            tracked: Obstacles = jax.lax.cond(is_taken, update, lambda before: before, obstacles)
             return tracked
 
         return self.explorations.each(track, known, *rows)
@@ -141,7 +143,7 @@ class TeamSenses(NamedTuple):
             belief = dataclasses.replace(belief, grid=one.map_arrays.prior)
             after: Belief = jax.lax.cond(
                 placed,
-                lambda same: one.perception.guided(same, pose, one.senses.since_fields),
+                lambda same: one.perception.guided(same, pose, one.onboard.since_fields),
                 lambda same: same,
                 belief,
             )

@@ -73,7 +73,7 @@ class Talk(NamedTuple):
         if self.coordination != "none":
             claims = jnp.zeros(belief.information.total.shape)
         belief = dataclasses.replace(belief, obstacles=every, claims=claims)
-        return state._replace(belief=belief)
+        return state.with_belief(belief)
 
     def begin(self, members: Sequence[ExplorationState]) -> Team:
         """Return what the robots have told one another at the start: nothing."""
@@ -207,7 +207,7 @@ class Talk(NamedTuple):
             *(obstacles, state.coverage, team.coverages, team.links),
         )
         members = tuple(
-            each._replace(belief=dataclasses.replace(each.belief, obstacles=one))
+            each.with_belief(dataclasses.replace(each.belief, obstacles=one))
             for each, one in zip(state.members, known, strict=True)
         )
         team = team._replace(links=links, coverages=coverages)

@@ -33,9 +33,9 @@ from jaxplore.maps.window import read_first
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
+from jaxplore.robot.clock import whole_steps
 from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment

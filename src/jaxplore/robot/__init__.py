@@ -1,0 +1,1 @@
+"""The robot: all that runs on board, which knows no truth."""

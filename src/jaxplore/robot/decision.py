@@ -1,0 +1,121 @@
+"""The command of a control period: a controller, and the guard that watches over it."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxplore._types import ControlVector, Key, Scalar, StateVector
+from jaxplore.control.base import Controller, Info
+from jaxplore.control.guard import GOOD, LOST, GuardState, MotionGuard, ScanPoints
+from jaxplore.control.latency import LatencyCompensation
+from jaxplore.dynamics.base import Dynamics
+
+
+class Decided(NamedTuple):
+    """A command that is sent to the robot's base.
+
+    Args:
+        control: (nu,) the command; not finite where the base is told to brake.
+        memory: state of the controller.
+        guard: state of the guard; None without one.
+        info: diagnostics of the controller's step.
+    """
+
+    control: ControlVector
+    memory: Any
+    guard: GuardState | None
+    info: Info
+
+
+class Driver(NamedTuple):
+    """Decides which command is sent.
+
+    Args:
+        model: model of the robot.
+        controller: computes the commands.
+        guard: stops the robot where its pose, scan or motion cannot be true; None without one.
+        period: control period [s].
+    """
+
+    model: Dynamics
+    controller: Controller
+    guard: MotionGuard | None
+    period: Scalar
+
+    def decide(
+        self,
+        memory: Any,
+        watch: GuardState | None,
+        observed: StateVector,
+        belief: Any,
+        points: ScanPoints,
+        time: Scalar,
+        key: Key,
+    ) -> Decided:
+        """Return the command of a period.
+
+        Args:
+            memory: state of the controller.
+            watch: judgement of the guard; None without one.
+            observed: (nx,) state that the robot takes to be its own.
+            belief: what it knows.
+            points: the newest scan.
+            time: present time [s].
+            key: random key of the controller's step.
+        """
+        guard = self.guard
+        if guard is None or watch is None:
+            control, memory, info = self.controller.step(memory, observed, belief, key=key)
+            return Decided(control, memory, watch, info)
+        is_stopped = watch.stop != GOOD
+        # A controller that compensates for a latency itself needs no prediction for it.
+        controller = self.controller
+        latency = (
+            controller.latency if isinstance(controller, LatencyCompensation) else 0.0 * self.period
+        )
+        known = jnp.round(latency / self.period).astype(jnp.int32)
+        ahead = guard.ahead(self.model, watch, known, self.period)
+        start = jnp.where(is_stopped, jnp.nan, ahead)
+        control, after, info = controller.step(memory, start, belief, key=key)
+        # A command that is not finite is none: the robot's base then brakes.
+        control = jnp.where(is_stopped, jnp.nan, control)
+        control = guard.keep_clear(self.model, watch, start, control, points, time, self.period)
+        # The controller starts anew from rest: its plan was not executed.
+        after = jax.tree.map(functools.partial(jnp.where, is_stopped), controller.init(), after)
+        watch = guard.sent(self.model, watch, control)
+        # A plan that was not asked for is no failure of the controller.
+        is_finite = info.is_finite | (is_stopped & (watch.stop != LOST))
+        return Decided(control, after, watch, info._replace(is_finite=is_finite))
+
+    def actuate(
+        self,
+        watch: GuardState | None,
+        control: ControlVector,
+        measured: StateVector,
+        points: ScanPoints,
+    ) -> tuple[ControlVector, GuardState | None]:
+        """Return what the robot's base does in a period, and where the guard expects the robot.
+
+        A base that is told to brake does so along the points of the newest scan.
+
+        Args:
+            watch: state of the guard; None without one.
+            control: (nu,) command that takes effect.
+            measured: (nx,) state, of which the base measures all but the pose.
+            points: the newest scan.
+        """
+        guard = self.guard
+        if guard is None or watch is None:
+            return control, watch
+        before = watch
+        # A loop of one iteration or none. Under vmap a branch would be taken in every step of every
+        # run, while a loop is skipped if no run brakes.
+        control = jax.lax.fori_loop(
+            0,
+            jnp.where(jnp.isfinite(control).all(), 0, 1),
+            lambda *_: guard.braking(self.model, before, measured, points, self.period),
+            control,
+        )
+        return control, guard.moved(self.model, watch, measured, control, self.period)

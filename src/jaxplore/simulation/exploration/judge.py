@@ -1,0 +1,261 @@
+"""What is true of a robot's map and pose, for the record: the robot knows nothing of it."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxplore._types import Count, Flag, GridMask, GridValues, Pose
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.perception import Perception
+from jaxplore.geometry.motion import compose
+from jaxplore.localisation.localiser import LocaliserState
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.report.exploration.data import LocalisationData, MapProgress
+from jaxplore.robot.clock import when_due
+from jaxplore.robot.localisation import PoseKnowledge
+from jaxplore.robot.robot import Measurement, RobotState, Sight
+from jaxplore.sensing.base import update_grid
+from jaxplore.sensing.beams import Scan
+from jaxplore.simulation.exploration.progress import MapSums, map_progress
+
+
+class TrueTrack(NamedTuple):
+    """Where a robot that does not know its pose was, and what its scans give there.
+
+    Args:
+        true_poses: (K, 3) true poses of the stored scans.
+        reckoned: pose by the odometry alone.
+        reckoned_poses: (K, 3) poses of the stored scans by the odometry alone.
+        reference: (H, W) map that the same scans give at the true poses.
+    """
+
+    true_poses: Float[Array, "K 3"]
+    reckoned: Pose
+    reckoned_poses: Float[Array, "K 3"]
+    reference: GridValues
+
+    @classmethod
+    def at_start(cls, pose: Pose, place: PoseKnowledge, grid: OccupancyGrid) -> "TrueTrack":
+        """Return the track before the first scan.
+
+        Args:
+            pose: pose at the start [m, m, rad].
+            place: what the robot knows of it.
+            grid: its map.
+        """
+        poses = place.known.scans.poses
+        return cls(poses, pose, poses, grid.probability)
+
+    def after_motion(self, motion: Pose) -> "TrueTrack":
+        """Return the track after a motion by the odometry (dx, dy, dyaw) [m, m, rad]."""
+        return self._replace(reckoned=compose(self.reckoned, motion))
+
+    def after_scans(self, before: PoseKnowledge, after: PoseKnowledge, pose: Pose) -> "TrueTrack":
+        """Return the track with the poses of a scan that was stored.
+
+        Args:
+            before: what the robot knew of its pose before the scans.
+            after: what it knows after them.
+            pose: its true pose.
+        """
+        scans = after.known.scans
+        at = jnp.where(scans.number > before.known.scans.number, scans.last, scans.capacity)
+        return self._replace(
+            true_poses=self.true_poses.at[at].set(pose, mode="drop"),
+            reckoned_poses=self.reckoned_poses.at[at].set(self.reckoned, mode="drop"),
+        )
+
+    def thinned(self) -> "TrueTrack":
+        """Return the track with every second stored scan left out."""
+
+        def halved(rows: Float[Array, "K 3"]) -> Float[Array, "K 3"]:
+            kept = rows[::2]
+            return jnp.zeros_like(rows).at[: len(kept)].set(kept)
+
+        return self._replace(
+            true_poses=halved(self.true_poses), reckoned_poses=halved(self.reckoned_poses)
+        )
+
+    def data(self, place: PoseKnowledge, grid: OccupancyGrid) -> LocalisationData:
+        """Return what the report shows of the localisation.
+
+        Args:
+            place: what the robot knows of its pose at the end.
+            grid: its map, with its frame.
+        """
+        known, scans = place.known, place.known.scans
+        number = int(scans.number)
+        return LocalisationData(
+            true_poses=np.asarray(self.true_poses, np.float64)[:number],
+            poses=np.asarray(scans.poses, np.float64)[:number],
+            reckoned=np.asarray(self.reckoned_poses, np.float64)[:number],
+            way=np.asarray(scans.way, np.float64)[:number],
+            reference=grid.cropped(self.reference),
+            num_loops=int(known.closures.number) if isinstance(known, LocaliserState) else None,
+        )
+
+
+@eqx.filter_jit
+def thin(track: TrueTrack) -> TrueTrack:
+    """Return `track.thinned()` by one program."""
+    return track.thinned()
+
+
+class Judged(NamedTuple):
+    """What the record says of a robot's knowledge.
+
+    Args:
+        sums: sums over the cells of its map, as of the last map update; of the map that its scans
+            give at their true poses if it does not know its pose.
+        progress: statistics of that map, likewise.
+        is_seen: (M,) whether each target has been found: seen, or recognised by a detector.
+        track: where it was; None if it knows its pose.
+    """
+
+    sums: MapSums
+    progress: MapProgress
+    is_seen: Bool[Array, " M"]
+    track: TrueTrack | None
+
+    @classmethod
+    def at_start(
+        cls, belief: Belief, reachable: GridMask, num_targets: int, track: TrueTrack | None
+    ) -> "Judged":
+        """Return what is said before the first scan.
+
+        Args:
+            belief: belief of the robot.
+            reachable: (H, W) cells that count for the progress.
+            num_targets: number of targets.
+            track: where it is; None if it knows its pose.
+        """
+        sums = MapSums.of(belief.grid.probability, reachable)
+        progress = map_progress(sums, belief, reachable, jnp.zeros(()))
+        return cls(sums, progress, jnp.zeros(num_targets, bool), track)
+
+
+class Judge(NamedTuple):
+    """Counts what a robot has learned, beside its updates and never in them.
+
+    A scan changes a window of the map. `count_before` adds the window up before the robot maps its
+    scans, and `judge` after that.
+
+    Args:
+        perception: sensors and inverse sensor model of the robot.
+        reachable: (H, W) cells that count for the progress.
+    """
+
+    perception: Perception
+    reachable: GridMask
+
+    def count_window(self, grid: OccupancyGrid, pose: Pose) -> MapSums:
+        """Add up the window of a map that scans from a pose may change.
+
+        Args:
+            grid: the map.
+            pose: pose of the scans [m, m, rad].
+        """
+        window = self.perception.window(grid, pose)
+        return MapSums.of(window.read(grid.probability), window.read(self.reachable))
+
+    def count_before(
+        self, own: RobotState, is_due: Flag, sight: Sight
+    ) -> tuple[MapSums, RobotState]:
+        """Add up the window that the scans of a robot will change, if they are taken.
+
+        Returns:
+            The sums, and what the robot knows, which depends on them: nothing reads the old map any
+            more, so it is changed in place. XLA would copy it otherwise.
+        """
+        grid = own.belief.grid
+        (before,) = when_due(
+            is_due,
+            sight.is_taken,
+            lambda _: (self.count_window(grid, sight.pose),),
+            (MapSums.none(),),
+        )
+        barrier = jax.lax.optimization_barrier
+        probability, before = barrier((grid.probability, before))  # type: ignore[no-untyped-call]
+        belief = dataclasses.replace(own.belief, grid=grid.with_probability(probability))
+        return before, own._replace(belief=belief)
+
+    def judge(
+        self,
+        judged: Judged,
+        before: MapSums,
+        own: RobotState,
+        measured: Measurement,
+        sight: Sight,
+        is_mapped: Flag,
+        *,
+        is_due: Flag,
+        pose: Pose,
+        place: PoseKnowledge | None,
+        find: Callable[[], Bool[Array, " M"]],
+        target_class: Count | None,
+    ) -> Judged:
+        """Return what is said after the scans of a period.
+
+        Args:
+            judged: what was said before.
+            before: sums of the window before them.
+            own: what the robot knows after them.
+            measured: what it measured.
+            sight: where and whether the scans were taken.
+            is_mapped: whether they are in the map.
+            is_due: whether scans were due.
+            pose: true pose of the robot [m, m, rad].
+            place: what the robot knew of its pose before them; None if it knows it.
+            find: returns whether each target is in sight (M,).
+            target_class: number of the class of the targets, for a robot that recognises objects;
+                a target that it sees is found otherwise.
+        """
+
+        def add(former: Judged) -> tuple[Judged]:
+            sums, _, is_seen, track = former
+            if place is None or own.place is None or track is None:
+                sums = sums.changed(before, self.count_window(own.belief.grid, sight.pose))
+            else:
+                track = track.after_scans(place, own.place, pose)
+                reference, sums = self._refer(track, sums, own, measured.scans, pose, is_mapped)
+                track = track._replace(reference=reference)
+            if target_class is not None and own.belief.objects is not None:
+                found = own.belief.objects.reported_at[: is_seen.shape[0], target_class]
+                is_seen = jnp.isfinite(found)
+            elif is_seen.shape[0] > 0:
+                is_seen = is_seen | find()
+            progress = map_progress(sums, own.belief, self.reachable, measured.time)
+            return (Judged(sums, progress, is_seen, track),)
+
+        return when_due(is_due, sight.is_taken, add, (judged,))[0]
+
+    def _refer(
+        self,
+        track: TrueTrack,
+        sums: MapSums,
+        own: RobotState,
+        scans: Sequence[Scan],
+        pose: Pose,
+        is_mapped: Flag,
+    ) -> tuple[GridValues, MapSums]:
+        """Return the reference map with scans that the robot has mapped, and the sums over it."""
+        perception = self.perception
+
+        def add(values: GridValues, sums: MapSums) -> tuple[GridValues, MapSums]:
+            reference = own.belief.grid.with_probability(values)
+            before = self.count_window(reference, pose)
+            for sensor, scan in zip(perception.sensors, scans, strict=True):
+                sighting = sensor.sight(reference, scan, pose, perception.ground)
+                reference = update_grid(reference, sighting, perception.sensor_model)
+            return reference.probability, sums.changed(before, self.count_window(reference, pose))
+
+        found: tuple[GridValues, MapSums] = jax.lax.cond(
+            is_mapped, add, lambda *same: same, track.reference, sums
+        )
+        return found

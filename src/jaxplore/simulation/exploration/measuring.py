@@ -1,0 +1,104 @@
+"""What a robot measures in the true world."""
+
+import itertools
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import Key
+from jaxplore.robot.clock import when_due
+from jaxplore.robot.robot import Look, Measurement, Robot, Told
+from jaxplore.sensing.beams import Scan
+from jaxplore.sensing.mount import ScanMotion
+from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.exploration.true_objects import TrueObjects
+from jaxplore.simulation.exploration.true_world import TrueWorld
+from jaxplore.simulation.state import Moment
+
+
+class Measuring(NamedTuple):
+    """Turns the truth into what a robot is given of it.
+
+    Args:
+        onboard: the robot, with its sensors and the rate of its scans.
+        objects: objects that it recognises; None without any.
+        tracking_noise: standard deviations of the positions [m] and velocities [m/s] of moving
+            obstacles of which it is told.
+    """
+
+    onboard: Robot
+    objects: TrueObjects | None
+    tracking_noise: Float[Array, "2"]
+
+    def measure(
+        self,
+        state: ExplorationState,
+        truth: TrueWorld,
+        moment: Moment,
+        key: Key,
+        *,
+        is_told: bool = True,
+    ) -> tuple[Measurement, Float[Array, " B"]]:
+        """Return what the robot measures, and the ranges of its newest scans (B,) [m].
+
+        Odometry faults are in the observed state of the moment: the scan is taken at the true pose
+        and mapped at the observed one, so they distort the map.
+
+        Args:
+            state: state of the task before.
+            truth: the true world at the moment.
+            moment: time, step and observed state of the robot.
+            key: random key of the step's measurements.
+            is_told: whether a robot that finds no moving obstacles itself is told of them; static.
+        """
+        robot, objects = self.onboard, self.objects
+        pose, sensors, recognition = (
+            robot.model.pose(state.robot),
+            robot.sensors,
+            robot.perception.recognition,
+        )
+        is_told = is_told and robot.perception.tracker is None
+
+        def take() -> tuple[Array, Array, Told | None, Look | None]:
+            scans = truth.scans(sensors, pose, key, self.scan_motion(state, moment))
+            ranges, is_return = (jnp.concatenate(each) for each in zip(*scans, strict=True))
+            told = truth.tell(sensors, pose, self.tracking_noise, key) if is_told else None
+            look = None
+            if objects is not None and recognition is not None:
+                look = objects.look(recognition, truth, sensors[0], pose, key)
+            return ranges, is_return, told, look
+
+        # What is not due is not read.
+        blank = jax.tree.map(
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(take)
+        )
+        ranges, is_return, told, look = when_due(
+            robot.is_scan_due(moment.step),
+            ~moment.is_blind,
+            lambda *_: take(),
+            (state.ranges, *blank[1:]),
+        )
+        ends = list(itertools.accumulate(sensor.num_beams for sensor in sensors))
+        split = (jnp.split(each, ends[:-1]) for each in (ranges, is_return))
+        scans = tuple(itertools.starmap(Scan, zip(*split, strict=True)))
+        args = (moment.step, moment.time, moment.observed, moment.is_blind, scans)
+        return Measurement(*args, moment.measured, moment.guard, told, look), ranges
+
+    def scan_motion(self, state: ExplorationState, moment: Moment) -> ScanMotion | None:
+        """Return the motion of the robot during a scan; None if no lidar turns.
+
+        Args:
+            state: state of the task.
+            moment: time, step and observed state of the robot.
+        """
+        if state.control is None:
+            return None
+        model = self.onboard.model
+        # A guard may observe no pose. The velocity is that in the frame of the robot, at any pose.
+        seen = moment.observed if moment.measured is None else moment.measured
+        known = model.with_pose(seen, jnp.zeros(3))
+        true, known = (model.twist(each, state.control) for each in (state.robot, known))
+        return ScanMotion(true, known, self.onboard.since_scan)

@@ -1,0 +1,57 @@
+"""The odometry of a robot that does not know its pose, with the errors of a run."""
+
+from typing import Any, NamedTuple
+
+import jax
+
+from jaxplore._types import Count, Key, Pose, Scalar
+from jaxplore.geometry.motion import between
+from jaxplore.localisation.odometry_model import OdometryModel
+
+_ODOMETRY = 2**31 + 4
+"""What is folded into the key of a run for its odometry; no step has such a number."""
+
+
+class Odometer(NamedTuple):
+    """State of the odometry in a run.
+
+    Args:
+        errors: its errors.
+        key: random key of its noise.
+    """
+
+    errors: Any
+    key: Key
+
+    @classmethod
+    def at_start(cls, odometry: OdometryModel, key: Key | None) -> "Odometer":
+        """Draw the errors of a run.
+
+        Args:
+            odometry: the true odometry.
+            key: random key of the run; the odometry has no constant errors when absent.
+        """
+        drawn = None if key is None else jax.random.fold_in(key, _ODOMETRY)
+        own = jax.random.key(0) if drawn is None else jax.random.fold_in(drawn, 1)
+        return cls(odometry.draw(drawn), own)
+
+    def measure(
+        self, odometry: OdometryModel, before: Pose, after: Pose, step: Count, period: Scalar
+    ) -> tuple[Pose, "Odometer"]:
+        """Measure the motion of a control period, in the frame of the robot [m, m, rad].
+
+        Args:
+            odometry: the true odometry.
+            before: true pose before the period.
+            after: true pose after it.
+            step: number of steps before it.
+            period: control period [s].
+        """
+        key = jax.random.fold_in(self.key, step)
+        motion, errors = odometry.measure(between(before, after), period, self.errors, key)
+        return motion, self._replace(errors=errors)
+
+
+def estimator_key(key: Key | None) -> Key | None:
+    """Return the random key of a robot's estimator in a run; None without a key of the run."""
+    return None if key is None else jax.random.fold_in(jax.random.fold_in(key, _ODOMETRY), 2)
