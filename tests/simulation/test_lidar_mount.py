@@ -17,6 +17,8 @@ from jaxplore.settings.exploration import make_exploration_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.state import Moment
 
+pytestmark = pytest.mark.long
+
 
 def scenario_with(robot, mount: LidarMount | None) -> ExplorationScenario:
     lidar = Lidar(num_beams=72, max_range=1.5, mount=mount)
@@ -32,7 +34,7 @@ def begin(scenario):
 def motion_of(scenario, state, seen):
     off = jnp.array(False)
     moment = Moment(jnp.zeros((), jnp.int32), jnp.zeros(()), seen, off, off)
-    return scenario.measuring.scan_motion(state, moment)
+    return scenario.instruments.scan_motion(state, moment)
 
 
 def test_the_robot_knows_its_motion_by_what_it_observes() -> None:

@@ -74,7 +74,7 @@ from jaxplore.simulation.exploration.finish import (
 from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
 from jaxplore.simulation.exploration.judge import Judge, thin
 from jaxplore.simulation.exploration.map_arrays import MapArrays
-from jaxplore.simulation.exploration.measuring import Measuring
+from jaxplore.simulation.exploration.instruments import Instruments
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
@@ -509,7 +509,7 @@ class ExplorationScenario(Scenario):
             is_told: whether a robot that finds no moving obstacles itself is told of them; static.
         """
         onboard, judge = self.onboard, Judge(self.perception, self.map_arrays.reachable)
-        measured, ranges = self.measuring.measure(state, truth, moment, key, is_told=is_told)
+        measured, ranges = self.instruments.measure(state, truth, moment, key, is_told=is_told)
         is_due, pose = onboard.is_scan_due(moment.step), self.robot.pose(state.robot)
         own, sight = onboard.examine(state.own, measured)
         before, place = MapSums.none(), own.place
@@ -530,9 +530,9 @@ class ExplorationScenario(Scenario):
         return Sensed(state, measured, sight)
 
     @property
-    def measuring(self) -> Measuring:
+    def instruments(self) -> Instruments:
         """What measures in the true world."""
-        return Measuring(self.onboard, self.objects, self.tracking_noise)
+        return Instruments(self.onboard, self.objects, self.tracking_noise)
 
     @property
     def onboard(self) -> Robot:
@@ -653,7 +653,7 @@ class ExplorationScenario(Scenario):
         """Return the belief, a scan, and the plan before a step; see `ExplorationFrame`."""
         truth = self.true_world(state, moment)
         # Only the scan of the first sensor is drawn: it is the one that fills the map.
-        motion = self.measuring.scan_motion(state, moment)
+        motion = self.instruments.scan_motion(state, moment)
         scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key, motion)
         plan = None if inspect is None else inspect(moment.observed, state.belief)
         return frame_arrays(self.robot, self.sensors[0], state, scan, truth.discs, plan)

@@ -19,7 +19,7 @@ from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.state import Moment
 
 
-class Measuring(NamedTuple):
+class Instruments(NamedTuple):
     """Turns the truth into what a robot is given of it.
 
     Args:
