@@ -72,9 +72,9 @@ from jaxplore.simulation.exploration.finish import (
     is_finished,
 )
 from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
+from jaxplore.simulation.exploration.instruments import Instruments
 from jaxplore.simulation.exploration.judge import Judge, thin
 from jaxplore.simulation.exploration.map_arrays import MapArrays
-from jaxplore.simulation.exploration.instruments import Instruments
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
