@@ -19,6 +19,12 @@ def is_nearly_full(state: LocaliserState) -> bool:
     return int(state.scans.number) > state.scans.capacity - SPARE
 
 
+def halve(rows: Array) -> Array:
+    """Return every second row, with zeros behind them."""
+    kept = rows[::2]
+    return jnp.zeros_like(rows).at[: len(kept)].set(kept)
+
+
 @eqx.filter_jit
 def thinned(state: LocaliserState) -> LocaliserState:
     """Return the state with every second stored scan left out.
@@ -37,9 +43,6 @@ def thinned(state: LocaliserState) -> LocaliserState:
     covariances = jax.vmap(moved_covariance)(first, second, scans.covariances[1::2], added)
     capacity = scans.capacity
 
-    def halved(rows: Array) -> Array:
-        return jnp.zeros_like(rows).at[: (capacity + 1) // 2].set(rows[::2])
-
     def following(rows: Array, former: Array) -> Array:
         after = rows[: (capacity + 1) // 2 - 1]
         return jnp.zeros_like(former).at[1 : 1 + len(after)].set(after)
@@ -51,12 +54,12 @@ def thinned(state: LocaliserState) -> LocaliserState:
 
     return state._replace(
         scans=StoredScans(
-            halved(scans.poses),
+            halve(scans.poses),
             following(motions, scans.motions),
             following(covariances, scans.covariances),
-            halved(scans.way),
-            halved(scans.ranges),
-            halved(scans.is_return),
+            halve(scans.way),
+            halve(scans.ranges),
+            halve(scans.is_return),
             (scans.number + 1) // 2,
         ),
         closures=closures._replace(

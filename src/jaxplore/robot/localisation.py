@@ -117,7 +117,7 @@ class Localisation(eqx.Module):
         spreads = None if self.most_uncertainty is None else jnp.zeros(known.scans.capacity)
         return PoseKnowledge(known, spreads)
 
-    def observed(
+    def observe_state(
         self, place: PoseKnowledge, errors: Any, robot: Dynamics, state: StateVector
     ) -> StateVector:
         """Return the state (nx,) that the robot takes to be its own; the pose is NaN while it does
@@ -172,7 +172,7 @@ class Localisation(eqx.Module):
             )
         if self.most_uncertainty is not None and place.spreads is not None:
             share = jnp.clip(place.spreads / self.most_uncertainty - 1.0, 0.0, 1.0)
-            worth = places_to_revisit(_mapped(place), belief, share)
+            worth = places_to_revisit(_localiser_state(place), belief, share)
             belief = dataclasses.replace(belief, revisit=worth)
         return belief
 
@@ -198,7 +198,7 @@ class Localisation(eqx.Module):
         localiser = self.localiser
         if self.closer is None or not isinstance(localiser, Localiser):
             return place, belief
-        known = _mapped(place)
+        known = _localiser_state(place)
         if is_nearly_full(known):
             known = thinned(known)
         known, belief = scan_map.revised(
@@ -240,7 +240,7 @@ def corrected_state(robot: Dynamics, state: StateVector, before: Pose, after: Po
     return robot.with_pose(state, compose(after, between(before, robot.pose(state))))
 
 
-def _mapped(place: PoseKnowledge) -> LocaliserState:
+def _localiser_state(place: PoseKnowledge) -> LocaliserState:
     """Return what a `Localiser` knows."""
     assert isinstance(place.known, LocaliserState)
     return place.known

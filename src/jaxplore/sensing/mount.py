@@ -131,7 +131,7 @@ def project_scan(scan: Scan, sensor: Beams, poses: Float[Array, "B 3"]) -> Scan:
             of the scan [m, m, rad].
     """
     number, spacing = sensor.num_beams, sensor.beam_spacing
-    closed = _closed(scan.ranges)
+    closed = _close_notches(scan.ranges)
     is_notch = closed > scan.ranges + MOST_GAP
     outline, is_own = jnp.where(is_notch, closed, scan.ranges), ~is_notch & (scan.ranges > 0.0)
     angles = poses[:, 2] + jnp.asarray(sensor.beam_angles)
@@ -190,7 +190,7 @@ def _nearest(
     return jnp.full(number, jnp.inf).at[beam].min(distance, mode="drop")
 
 
-def _closed(ranges: Float[Array, " B"]) -> Float[Array, " B"]:
+def _close_notches(ranges: Float[Array, " B"]) -> Float[Array, " B"]:
     """Return ranges (B,) without notches of one or two beams: the closing of morphology."""
 
     def around(values: Array, reduce: Callable[[Array, Array], Array]) -> Array:

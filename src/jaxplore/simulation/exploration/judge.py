@@ -15,6 +15,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.geometry.motion import compose
 from jaxplore.localisation.localiser import LocaliserState
+from jaxplore.localisation.thinning import halve
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import LocalisationData, MapProgress
 from jaxplore.robot.clock import when_due
@@ -71,17 +72,6 @@ class TrueTrack(NamedTuple):
             reckoned_poses=self.reckoned_poses.at[at].set(self.reckoned, mode="drop"),
         )
 
-    def thinned(self) -> "TrueTrack":
-        """Return the track with every second stored scan left out."""
-
-        def halved(rows: Float[Array, "K 3"]) -> Float[Array, "K 3"]:
-            kept = rows[::2]
-            return jnp.zeros_like(rows).at[: len(kept)].set(kept)
-
-        return self._replace(
-            true_poses=halved(self.true_poses), reckoned_poses=halved(self.reckoned_poses)
-        )
-
     def data(self, place: PoseKnowledge, grid: OccupancyGrid) -> LocalisationData:
         """Return what the report shows of the localisation.
 
@@ -103,8 +93,10 @@ class TrueTrack(NamedTuple):
 
 @eqx.filter_jit
 def thin(track: TrueTrack) -> TrueTrack:
-    """Return `track.thinned()` by one program."""
-    return track.thinned()
+    """Return a track with every second stored scan left out."""
+    return track._replace(
+        true_poses=halve(track.true_poses), reckoned_poses=halve(track.reckoned_poses)
+    )
 
 
 class Judged(NamedTuple):

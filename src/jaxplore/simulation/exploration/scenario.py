@@ -443,7 +443,7 @@ class ExplorationScenario(Scenario):
         place, odometer = state.own.place, state.odometer
         if self.localisation is None or place is None or odometer is None:
             return state.robot
-        return self.localisation.observed(place, odometer.errors, self.robot, state.robot)
+        return self.localisation.observe_state(place, odometer.errors, self.robot, state.robot)
 
     @property
     def steps_per_revision(self) -> int | None:
@@ -590,7 +590,7 @@ class ExplorationScenario(Scenario):
             is_carried = self.faults.is_carried(moment.time, self.control_period)
             record = carried(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
-        state = state.moved(record.state, control)._replace(
+        state = state.after_step(record.state, control)._replace(
             own=own, judged=judged, motion=motion, wheels=wheels, odometer=odometer
         )
         is_over = self.is_finished(state) | (state.finished > 0)

@@ -56,7 +56,7 @@ class ExplorationState(NamedTuple):
     landing: Pose | None = None
     control: ControlVector | None = None
 
-    def moved(self, robot: StateVector, control: ControlVector) -> "ExplorationState":
+    def after_step(self, robot: StateVector, control: ControlVector) -> "ExplorationState":
         """Return the state after a step of the robot, with the control if a lidar needs it.
 
         Args:

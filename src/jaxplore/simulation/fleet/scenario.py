@@ -273,7 +273,7 @@ class Fleet(Scenario):
             sent, links, coverages = team.sent, team.links, team.coverages
             team = self._talk.planned(team, state.robot, moved, moment.step, info)
         members = tuple(
-            each.moved(robot, given)
+            each.after_step(robot, given)
             for each, robot, given in zip(
                 state.members, self.share.own(moved), self.share.own(controls), strict=True
             )
