@@ -51,7 +51,7 @@ def test_the_robot_knows_its_motion_by_what_it_observes() -> None:
 def test_a_velocity_that_is_a_control_is_that_of_the_last_step() -> None:
     scenario = scenario_with(Unicycle(), LidarMount(is_turning=True))
     state = begin(scenario)
-    state = state.moved(state.robot, jnp.asarray([0.6, 0.9]))
+    state = state.after_step(state.robot, jnp.asarray([0.6, 0.9]))
     motion = motion_of(scenario, state, np.asarray(state.robot))
     np.testing.assert_allclose(motion.true, [0.6, 0.0, 0.9], atol=1e-5)
     np.testing.assert_allclose(motion.known, [0.6, 0.0, 0.9], atol=1e-5)
