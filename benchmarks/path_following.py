@@ -15,10 +15,11 @@ or after `steps`. Contouring and lag errors are what each library's own objects 
 reference point; `distance` is that from the car to the nearest point of the path, for all alike.
 """
 
+import functools
 import json
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,6 +64,14 @@ class Sizes(NamedTuple):
     warm_up: int = 20
 
 
+class _Driver(NamedTuple):
+    """Controller of a car on a path, and its compiled step: memory, state and key in, control and
+    memory out."""
+
+    following: PathFollowing
+    step: Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, Any]]
+
+
 FULL = Sizes()
 SMOKE = Sizes(((8, 4),), 6, 1, 3, 2)
 TITLES = {
@@ -91,17 +100,17 @@ def measure(sizes: Sizes) -> dict[str, Rows]:
             }
             file = Path(folder) / "problem.json"
             file.write_text(json.dumps(problem), encoding="utf-8")
-            following = _following(problem, path, jx.Euler())
-            precise = _following(problem, path, jx.RK4())
-            ours = [_seconds(following, problem)]
+            ordinary = _driver(problem, path, jx.Euler())
+            precise = _driver(problem, path, jx.RK4())
+            ours = [_seconds(ordinary, problem)]
             theirs = [_times_row(PRECISE, _times([_seconds(precise, problem)], sizes.warm_up))]
             runs = {
                 library: [_follow(each, problem, path, seed) for seed in range(seeds)]
-                for library, each in (("jaxplore", following), (PRECISE, precise))
+                for library, each in (("jaxplore", ordinary), (PRECISE, precise))
             }
             for backend, library in BACKENDS.items():
                 result = run_peer(_command(backend, file), folder)
-                ours.append(_seconds(following, problem))
+                ours.append(_seconds(ordinary, problem))
                 # Those of our runs before and after it.
                 beside = _times(ours[-2:], sizes.warm_up)["p50_ms"]
                 row = _times_row(library, result)
@@ -122,49 +131,54 @@ def _command(backend: str, problem: Path) -> list[str]:
     return [str(PYTHONS["Faran"]), str(script), backend, str(problem)]
 
 
-def _following(problem: dict[str, Any], path: jx.Path, integrator: jx.Integrator) -> PathFollowing:
+def _driver(problem: dict[str, Any], path: jx.Path, integrator: jx.Integrator) -> _Driver:
     limits = {name: problem[name] for name in ("max_speed", "max_acceleration", "max_steering")}
     # Faran's car is known by its rear axle; ours may not stand right on it.
     car = jx.KinematicBicycle(problem["wheelbase"], 1e-3, **limits, integrator=integrator)
     shared = ("noise_std", "max_speed", "contouring_weight", "lag_weight", "horizon", "dt")
-    return jx.mpcc(
+    following = jx.mpcc(
         car,
         path,
         num_samples=problem["rollouts"],
+        temperature=problem["temperature"],
         comfort_weight=None,
         progress_weight=problem["progress_weight"] * problem["path_length"] / float(path.length),
         **{name: problem[name] for name in shared},
     )
+    # What is no array is split off once: to do it in each call takes a tenth of a millisecond.
+    arrays, fixed = eqx.partition(following.controller, eqx.is_array)
+
+    @jax.jit
+    def step(arrays: Any, memory: Any, state: jax.Array, key: jax.Array) -> tuple[jax.Array, Any]:
+        return eqx.combine(arrays, fixed).step(memory, state, key=key)[:2]
+
+    return _Driver(following, functools.partial(step, arrays))
 
 
 def _drive(
-    following: PathFollowing, problem: dict[str, Any], seed: int
+    driver: _Driver, problem: dict[str, Any], seed: int
 ) -> Iterator[tuple[jax.Array, float]]:
     """Yield the state after each step, and the time it took."""
-    planner, model = jx.compat.Planner(following.controller), following.model
+    controller, model = driver.following.controller, driver.following.model
     move = jax.jit(lambda state, control: model.step(state, control, jnp.asarray(problem["dt"])))
-    state, nominal = model.at_pose(0.0, 0.0, 0.0), planner.initial_nominal
-    for step in range(problem["steps"]):
-        jax.block_until_ready((state, nominal))  # type: ignore[no-untyped-call]
+    state, memory = model.at_pose(0.0, 0.0, 0.0), controller.init()
+    for number in range(problem["steps"]):
+        jax.block_until_ready((state, memory))  # type: ignore[no-untyped-call]
         began = time.perf_counter()
-        planned = planner.step(
-            temperature=problem["temperature"],
-            nominal_input=nominal,
-            initial_state=state,
-            key=jax.random.key(problem["steps"] * seed + step),
-        )
-        planned.optimal.block_until_ready()
+        key = jax.random.key(problem["steps"] * seed + number)
+        control, memory = driver.step(memory, state, key)
+        control.block_until_ready()
         spent = time.perf_counter() - began
-        state, nominal = move(state, planned.optimal[0]), planned.nominal
+        state = move(state, control)
         yield state, spent
 
 
-def _seconds(following: PathFollowing, problem: dict[str, Any]) -> list[float]:
+def _seconds(driver: _Driver, problem: dict[str, Any]) -> list[float]:
     """Time steps along the path, which begins anew when a run is over [s]."""
     seconds: list[float] = []
     seed = 0
     while len(seconds) < problem["warm_up"] + problem["timed_steps"]:
-        seconds += [spent for _, spent in _drive(following, problem, seed)]
+        seconds += [spent for _, spent in _drive(driver, problem, seed)]
         seed += 1
     return seconds
 
@@ -175,8 +189,9 @@ def _times(turns: list[list[float]], warm_up: int) -> dict[str, Any]:
     return {**together, "compile_seconds": turns[0][0]}
 
 
-def _follow(following: PathFollowing, problem: dict[str, Any], path: jx.Path, seed: int) -> Run:
-    states = jnp.stack([state for state, _ in _drive(following, problem, seed)])
+def _follow(driver: _Driver, problem: dict[str, Any], path: jx.Path, seed: int) -> Run:
+    following = driver.following
+    states = jnp.stack([state for state, _ in _drive(driver, problem, seed)])
     return {
         "positions": states[:, :2],
         "share": states[:, -1] / path.length,

@@ -14,7 +14,6 @@ from jaxplore._version import __version__ as __version__
 # Python reads the table, type checkers and editors read the imports: a test compares them.
 if TYPE_CHECKING:
     from jaxplore import belief as belief
-    from jaxplore import compat as compat
     from jaxplore import compilation_cache as compilation_cache
     from jaxplore import control as control
     from jaxplore import costs as costs
@@ -136,7 +135,6 @@ if TYPE_CHECKING:
 
 _PACKAGES = {
     "belief": ["Perception", "VolumePerception"],
-    "compat": [],
     "compilation_cache": ["enable_compilation_cache"],
     "control": [
         "MPPI",
