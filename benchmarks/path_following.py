@@ -150,7 +150,9 @@ def _driver(problem: dict[str, Any], path: jx.Path, integrator: jx.Integrator) -
 
     @jax.jit
     def step(arrays: Any, memory: Any, state: jax.Array, key: jax.Array) -> tuple[jax.Array, Any]:
-        return eqx.combine(arrays, fixed).step(memory, state, key=key)[:2]
+        controller: jx.MPPI = eqx.combine(arrays, fixed)
+        control, memory, _ = controller.step(memory, state, key=key)
+        return control, memory
 
     return _Driver(following, functools.partial(step, arrays))
 
