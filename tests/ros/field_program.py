@@ -4,6 +4,7 @@ Run by test_field.py in a process of its own, because ROS keeps threads and stat
 """
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -156,7 +157,7 @@ def main(folder: Path) -> dict:
 
         def follow(what: str, reason: str) -> None:
             def found() -> list[str]:
-                return [each for each in watcher.reasons if each.startswith(reason)]
+                return [each for each in watcher.reasons if re.match(reason, each)]
 
             watcher.wait(what, found)
             seen["clock"].append(found()[-1])
@@ -164,7 +165,8 @@ def main(folder: Path) -> dict:
         follow("the time is another", "the clock jumped by ")
         watcher.wait("it drives by it", lambda: watcher.speeds[-1] > 0.1)
         simulated.time -= 30.0
-        follow("the clock goes back", "the clock jumped by -30")
+        # On a busy machine the time is on its way for a part of a second.
+        follow("the clock goes back", r"the clock jumped by -(2[89]|3[01])\.\d s$")
         watcher.wait("it drives on", lambda: watcher.speeds[-1] > 0.1)
         simulated.rate = 0.0
         follow("the clock stands still", "the simulated clock")
