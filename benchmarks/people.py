@@ -3,7 +3,8 @@
 `python -m benchmarks.people --map office --seeds 10`
 
 A contact counts against the robot if the robot moved in the control period in which it began, or in
-that before. One compiled program serves all seeds and speeds of an architecture on a map.
+that before. Those with walls are among them, and are counted apart in `with_walls`. One compiled
+program serves all seeds and speeds of an architecture on a map.
 """
 
 import argparse
@@ -34,8 +35,12 @@ LIDAR_ERRORS: dict[str, Any] = {
     "height": 0.2,
 }
 """Errors of a lidar near the floor, which it sees 2.9 m ahead."""
+ALL_AROUND: dict[str, Any] = {"num_beams": 96, "field_of_view_degrees": 360.0}
+"""A lidar that sees to all sides, for a robot that has a camera of 90 degrees."""
 STILL = 0.02
 """Speed below which the robot stands [m/s]."""
+TOUCHES = 0.1
+"""Distance from a person above which the robot touches something else [m]."""
 
 
 def measure_contacts(
@@ -72,6 +77,8 @@ def measure_contacts(
     is_contact = np.asarray(records.is_collision)
     begins = np.flatnonzero(is_contact & ~np.append(False, is_contact[:-1]))
     is_moving = [bool(moved[max(0, at - 1) : at + 1].max() > STILL) for at in begins]
+    gaps = [distance_from_people(experiment, states[at], (at + 1) * period) for at in begins]
+    is_wall = np.array(is_moving, bool) & (np.array(gaps) > TOUCHES)
     return {
         "architecture": architecture,
         "speed": speed,
@@ -80,12 +87,28 @@ def measure_contacts(
         "metres": float(moved.sum() * period),
         "contacts": len(begins),
         "contacts_moving": sum(is_moving),
+        "with_walls": int(is_wall.sum()),
         "moving_at": [round(float(at * period), 2) for at in begins[np.array(is_moving, bool)]],
         "standing": float((moved < STILL).mean()),
         "coverage": float(np.asarray(records.coverage)[-1]),
         "cpu": round(time.process_time() - began, 1),
         "programs": getattr(run_chunk, "_cached")._cache_size(),  # noqa: B009
     }
+
+
+def distance_from_people(experiment: Any, state: np.ndarray, at: float) -> float:
+    """Return the distance of the robot's edge from the nearest person at a time [m].
+
+    Args:
+        experiment: the experiment.
+        state: (nx,) state of the robot.
+        at: the time [s].
+    """
+    scenario = experiment.scenario
+    people = scenario.moving_obstacles.at_random_phase(experiment.key)
+    x, y, radius = np.asarray(people.discs(np.float32(at))).T
+    away = np.hypot(x - state[0], y - state[1]) - radius
+    return float(away.min()) - float(scenario.robot.footprint.radius)
 
 
 def main() -> None:
@@ -99,8 +122,10 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=80.0)
     parser.add_argument("--lidar-errors", action="store_true", help="with `LIDAR_ERRORS`")
+    parser.add_argument("--all-around", action="store_true", help="with `ALL_AROUND`")
     given = parser.parse_args()
-    changes = {"lidar": LIDAR_ERRORS} if given.lidar_errors else {}
+    lidar = (LIDAR_ERRORS if given.lidar_errors else {}) | (ALL_AROUND if given.all_around else {})
+    changes = {"lidar": lidar} if lidar else {}
     place = given.map if given.map == "office" else available_maps(SITES)[given.map]
     for architecture in given.architectures:
         for speed in given.speeds:
@@ -111,7 +136,8 @@ def main() -> None:
                 print(json.dumps(rows[-1]), flush=True)
             metres = sum(row["metres"] for row in rows)
             sums = {
-                name: sum(row[name] for row in rows) for name in ("contacts", "contacts_moving")
+                name: sum(row[name] for row in rows)
+                for name in ("contacts", "contacts_moving", "with_walls")
             }
             per = {f"{name}_per_100_m": 100.0 * sums[name] / metres for name in sums}
             found = {"map": given.map, "architecture": architecture, "speed": speed}
