@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore._types import Count, Flag, Pose, Scalar, StateVector
+from jaxplore._types import Flag, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception
-from jaxplore.control.guard import BLIND, MISFIT, GuardState, ScanPoints
+from jaxplore.control.guard import BLIND, GOOD, MISFIT, GuardState, ScanPoints
 from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose, placed
@@ -58,27 +58,32 @@ class Look(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """All that a robot measures in a control period.
+    """All that a robot measures in a control period, and what is due in it.
+
+    A simulated robot counts periods. A real one has times of its own, and says how long they were.
 
     Args:
-        step: number of steps before it.
-        time: time since the start [s].
-        observed: (nx,) state by the odometry; NaN where the guard does not trust it.
+        pose: pose (x, y, yaw) by the odometry, also where the guard does not trust it [m, m, rad].
         is_blind: whether there is no measurement.
         scans: newest scan of each sensor; it is from this period if scans are due.
-        measured: (nx,) state by the odometry, also where the guard does not trust it; None without
-            a guard.
+        is_scan_due: whether scans are due.
+        since_scan: time since scans were last due [s].
+        are_fields_due: whether an update of the fields is due.
+        since_fields: time since the last one [s].
+        time: time since the start [s].
         guard: judgement of the guard; None without one.
         told: moving obstacles; None for a robot that finds them in its scans.
         look: reports of objects; None for a robot that recognises none.
     """
 
-    step: Count
-    time: Scalar
-    observed: StateVector
+    pose: Pose
     is_blind: Flag
     scans: tuple[Scan, ...]
-    measured: StateVector | None = None
+    is_scan_due: Flag
+    since_scan: Scalar
+    are_fields_due: Flag
+    since_fields: Scalar
+    time: Scalar
     guard: GuardState | None = None
     told: Told | None = None
     look: Look | None = None
@@ -126,8 +131,6 @@ class Robot(NamedTuple):
         sensors: the sensors.
         perception: update of the belief from scans.
         period: control period [s].
-        steps_per_scan: control periods between two scans.
-        steps_per_field: control periods between two updates of the fields.
         localisation: how the robot finds its pose; None if its odometry tells it.
         prior: map that the robot knew in advance, for one that finds its pose.
         counts_walls: whether it counts the walls that it knows.
@@ -137,34 +140,9 @@ class Robot(NamedTuple):
     sensors: tuple[Sensor, ...]
     perception: Perception
     period: Scalar
-    steps_per_scan: Count
-    steps_per_field: Count
     localisation: Localisation | None = None
     prior: OccupancyGrid | None = None
     counts_walls: bool = False
-
-    @property
-    def since_scan(self) -> Scalar:
-        """Time between two scans [s]."""
-        return self.period * self.steps_per_scan.astype(jnp.float32)
-
-    @property
-    def since_fields(self) -> Scalar:
-        """Time between two updates of the fields [s]."""
-        return self.period * self.steps_per_field.astype(jnp.float32)
-
-    def is_scan_due(self, step: Count) -> Flag:
-        """Check whether scans are due at a step."""
-        return step % self.steps_per_scan == 0
-
-    def are_fields_due(self, step: Count) -> Flag:
-        """Check whether an update of the fields is due at a step.
-
-        The fields are derived one step before a strategic layer of the same rate runs: it reads
-        fresh fields, and no single step has the cost of both.
-        """
-        every = self.steps_per_field
-        return (step % every == every - 1) | (step == 0)
 
     def examine(self, own: RobotState, measured: Measurement) -> tuple[RobotState, Sight]:
         """Predict the obstacles, keep the points of a scan for the guard, and judge the scan.
@@ -173,22 +151,20 @@ class Robot(NamedTuple):
             own: what the robot knows.
             measured: what it measures.
         """
-        pose, guard, is_fit = self.model.pose(measured.observed), measured.guard, jnp.array(True)
+        here, guard, is_fit = measured.pose, measured.guard, jnp.array(True)
+        pose = here
         if guard is not None and own.points is not None:
-            assert measured.measured is not None
-            here, expected = (self.model.pose(each) for each in (measured.measured, guard.expected))
+            expected = self.model.pose(guard.expected)
 
             def examine(_: ScanPoints) -> tuple[ScanPoints]:
                 found = scan_points(
                     *(own.belief, self.sensors, measured.scans, here, expected),
-                    *(measured.time, self.since_scan, self.perception.tracker),
+                    *(measured.time, measured.since_scan, self.perception.tracker),
                 )
                 return (found,)
 
             # A stopped robot brakes by its scans, which need no place in the map.
-            (points,) = when_due(
-                self.is_scan_due(measured.step), ~measured.is_blind, examine, (own.points,)
-            )
+            (points,) = when_due(measured.is_scan_due, ~measured.is_blind, examine, (own.points,))
             own = own._replace(points=points)
             # A scan that does not fit is not mapped. If only the scan speaks against a pose at
             # which the robot has stood for a while, it is the world that has changed.
@@ -196,7 +172,7 @@ class Robot(NamedTuple):
             is_fit = (points.misfit <= MAX_MISFIT) | is_changed
             # The scan that ends a dropout is mapped at once.
             is_changed |= guard.stop == BLIND
-            pose = jnp.where(is_changed, here, pose)
+            pose = jnp.where((guard.stop == GOOD) | is_changed, here, jnp.nan)
         is_placed = jnp.isfinite(pose).all()
         # The tracker predicts the obstacles at every control period, also between scans.
         if own.belief.obstacles is not None:
@@ -250,7 +226,7 @@ class Robot(NamedTuple):
             return belief, place, is_mapped
 
         belief, place, is_mapped = when_due(
-            self.is_scan_due(measured.step),
+            measured.is_scan_due,
             sight.is_taken,
             sense,
             (own.belief, own.place, jnp.array(False)),
@@ -258,7 +234,9 @@ class Robot(NamedTuple):
         return own._replace(belief=belief, place=place), is_mapped
 
     def _observe(self, belief: Belief, measured: Measurement, pose: Pose) -> Belief:
-        return self.perception.observe(belief, measured.scans, pose, self.since_scan, measured.time)
+        return self.perception.observe(
+            belief, measured.scans, pose, measured.since_scan, measured.time
+        )
 
     def _reset(self, belief: Belief, is_found: Flag) -> Belief:
         """Return the belief with the prior map if the robot has just found itself elsewhere: what
@@ -286,7 +264,7 @@ class Robot(NamedTuple):
         def update(before: Obstacles) -> tuple[Obstacles]:
             return (tell(before, told, place),)
 
-        is_due = self.is_scan_due(measured.step)
+        is_due = measured.is_scan_due
         (after,) = when_due(is_due, sight.is_taken, update, (known,))
         return own._replace(belief=dataclasses.replace(own.belief, obstacles=after))
 
@@ -304,25 +282,25 @@ class Robot(NamedTuple):
         def derive(current: Belief) -> tuple[Belief]:
             if place is not None and self.localisation is not None:
                 current = self.localisation.inform(place, current)
-            return (self.perception.update_fields(current, here, self.since_fields),)
+            return (self.perception.update_fields(current, here, measured.since_fields),)
 
-        (belief,) = when_due(
-            self.are_fields_due(measured.step), sight.is_placed, derive, (own.belief,)
-        )
+        (belief,) = when_due(measured.are_fields_due, sight.is_placed, derive, (own.belief,))
         return own._replace(belief=belief)
 
-    def learn(self, own: RobotState, position: Float[Array, "2"], step: Count) -> RobotState:
+    def learn(
+        self, own: RobotState, measured: Measurement, position: Float[Array, "2"]
+    ) -> RobotState:
         """Update what is left to learn.
 
         Args:
             own: what the robot knows.
+            measured: what it measures.
             position: where it takes itself to be (x, y) [m].
-            step: number of steps before.
         """
         known = own.knowledge.after(own.belief, position, self.period)
         if self.counts_walls:
             known = jax.lax.cond(
-                self.is_scan_due(step),
+                measured.is_scan_due,
                 lambda: known.count_walls(own.belief.grid),
                 lambda: known,
             )
