@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Key, Pose, Scalar, StateVector
+from jaxplore._types import ArrayLike, Count, Key, Pose, Scalar, StateVector
 from jaxplore.belief import scan_map
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.certainty import CertaintyField
@@ -38,6 +38,21 @@ class PoseKnowledge(NamedTuple):
 
     known: PoseState
     spreads: Float[Array, " K"] | None
+
+
+class Motions(NamedTuple):
+    """Motions of which a robot has made one: an odometry that jumps starts anew elsewhere, or it
+    was frozen and tells a true motion.
+
+    Args:
+        motions: (N, 3) motions (dx, dy, dyaw) by the odometry, in the frame of the robot.
+        number: number of them, the first ones.
+        elapsed: time that they took [s].
+    """
+
+    motions: Float[Array, "N 3"]
+    number: Count
+    elapsed: Scalar
 
 
 class Localisation(eqx.Module):
@@ -144,6 +159,34 @@ class Localisation(eqx.Module):
         """
         return place._replace(known=self.localiser.predicted(place.known, motion, period))
 
+    def follow(
+        self,
+        place: PoseKnowledge,
+        motions: Motions,
+        scans: Sequence[Scan],
+        sensors: Sequence[Sensor],
+    ) -> PoseKnowledge:
+        """Return what the robot knows after one of several motions, before scans correct it: that
+        after which more of the first scan lies on known surfaces.
+
+        Args:
+            place: what it knew before.
+            motions: the motions.
+            scans: a scan of each sensor.
+            sensors: the sensors.
+        """
+
+        def tell(index: Count, shares: Array) -> Array:
+            after = self.predict(place, motions.motions[index], motions.elapsed)
+            known = _localiser_state(self.correct(after, scans, sensors))
+            return shares.at[index].set(known.share)
+
+        # One motion needs no scan: the loop then has no iteration.
+        number = jnp.where(motions.number > 1, motions.number, 0)
+        shares = jnp.full(motions.motions.shape[0], -1.0)
+        best = jnp.argmax(jax.lax.fori_loop(0, number, tell, shares))
+        return self.predict(place, motions.motions[best], motions.elapsed)
+
     def correct(
         self, place: PoseKnowledge, scans: Sequence[Scan], sensors: Sequence[Sensor]
     ) -> PoseKnowledge:
@@ -155,6 +198,11 @@ class Localisation(eqx.Module):
             sensors: the sensors.
         """
         return place._replace(known=self.localiser.corrected(place.known, scans, sensors))
+
+    def replace_closer(self, closer: LoopCloser) -> "Localisation":
+        """Return the same localisation with another closer."""
+        other: Localisation = eqx.tree_at(lambda each: each.closer, self, closer)
+        return other
 
     def inform(self, place: PoseKnowledge, belief: Belief) -> Belief:
         """Return the belief with what planning needs of the localisation, for the next fields.

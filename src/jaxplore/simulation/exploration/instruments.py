@@ -97,6 +97,7 @@ class Instruments(NamedTuple):
             rates.since_scan,
             rates.are_fields_due(moment.step),
             rates.since_fields,
+            rates.period,
             moment.time,
             moment.guard,
             told,

@@ -482,7 +482,8 @@ class ExplorationScenario(Scenario):
         gain, onboard = state.gain, self.onboard
         sensed = self.sense(state, self.true_world(state, moment), moment, key)
         own = onboard.track_told(sensed.state.own, sensed.measured, sensed.sight)
-        own = onboard.update_fields(own, sensed.measured, sensed.sight)
+        sight = sensed.sight.correct(own.place)
+        own = onboard.update_fields(own, sensed.measured, sight)
         state = sensed.state._replace(own=own)
         place = self.robot.position(self.measured(state))
         state = state._replace(own=onboard.learn(own, sensed.measured, place))
@@ -547,7 +548,6 @@ class ExplorationScenario(Scenario):
             self.robot,
             self.sensors,
             self.perception,
-            self.control_period,
             self.localisation,
             None if self.localisation is None else self.map_arrays.prior,
             self.counts_walls,
