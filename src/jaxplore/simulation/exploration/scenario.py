@@ -660,7 +660,8 @@ class ExplorationScenario(Scenario):
         motion = self.instruments.scan_motion(state, moment)
         scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key, motion)
         plan = None if inspect is None else inspect(moment.observed, state.belief)
-        return frame_arrays(self.robot, self.sensors[0], state, scan, truth.discs, plan)
+        seen = (self.robot, self.sensors[0], state.robot, state.belief, state.is_seen)
+        return frame_arrays(*seen, scan, truth.discs, plan)
 
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
