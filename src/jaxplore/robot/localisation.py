@@ -1,6 +1,7 @@
 """How a robot finds its pose: an estimator between scans and at scans, and closed loops."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -165,9 +166,9 @@ class Localisation(eqx.Module):
         motions: Motions,
         scans: Sequence[Scan],
         sensors: Sequence[Sensor],
-    ) -> PoseKnowledge:
-        """Return what the robot knows after one of several motions, before scans correct it: that
-        after which more of the first scan lies on known surfaces.
+    ) -> tuple[PoseKnowledge, PoseKnowledge]:
+        """Return what the robot knows after one of several motions, before scans correct it and
+        after that: the motion after which more of the first scan lies on known surfaces.
 
         Args:
             place: what it knew before.
@@ -176,16 +177,21 @@ class Localisation(eqx.Module):
             sensors: the sensors.
         """
 
-        def tell(index: Count, shares: Array) -> Array:
+        def try_motion(
+            index: Count, best: tuple[Count, PoseKnowledge]
+        ) -> tuple[Count, PoseKnowledge]:
             after = self.predict(place, motions.motions[index], motions.elapsed)
-            known = _localiser_state(self.correct(after, scans, sensors))
-            return shares.at[index].set(known.share)
+            found = self.correct(after, scans, sensors)
+            shares = (_localiser_state(each).share for each in (found, best[1]))
+            is_better = (index == 0) | jnp.greater(*shares)
+            select = functools.partial(jnp.where, is_better)
+            chosen: tuple[Count, PoseKnowledge] = jax.tree.map(select, (index, found), best)
+            return chosen
 
-        # One motion needs no scan: the loop then has no iteration.
-        number = jnp.where(motions.number > 1, motions.number, 0)
-        shares = jnp.full(motions.motions.shape[0], -1.0)
-        best = jnp.argmax(jax.lax.fori_loop(0, number, tell, shares))
-        return self.predict(place, motions.motions[best], motions.elapsed)
+        # A loop, in which the matching of scans is compiled once.
+        first = (jnp.zeros((), jnp.int32), place)
+        best, found = jax.lax.fori_loop(0, motions.number, try_motion, first)
+        return self.predict(place, motions.motions[best], motions.elapsed), found
 
     def correct(
         self, place: PoseKnowledge, scans: Sequence[Scan], sensors: Sequence[Sensor]

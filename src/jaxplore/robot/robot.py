@@ -267,9 +267,10 @@ class Robot(NamedTuple):
         place, localisation, scans = own.place, self.localisation, measured.scans
         assert place is not None
         assert localisation is not None
-        if measured.motions is not None:
-            place = localisation.follow(place, measured.motions, scans, self.sensors)
-        found = localisation.correct(place, scans, self.sensors)
+        if measured.motions is None:
+            found = localisation.correct(place, scans, self.sensors)
+        else:
+            place, found = localisation.follow(place, measured.motions, scans, self.sensors)
         before, now, is_mapping = place.known, found.known, localisation.localiser.is_mapping
         is_placed = jnp.isfinite(now.pose).all()
         if not is_mapping:
