@@ -34,12 +34,11 @@ def blank() -> OccupancyGrid:
 
 
 def scenario_in(
-    world: OccupancyGrid, start, robot=ROBOT, goal=None, lidar=LIDAR
+    world: OccupancyGrid, start, robot=ROBOT, goal=None, lidar=LIDAR, faults=None
 ) -> ExplorationScenario:
     perception = Perception(lidar, 0.1, 0.2, num_directions=16, margin=0.05, goal=goal)
-    return ExplorationScenario(
-        world, robot, lidar, start, perception=perception, goal=goal, target_coverage=0.97
-    )
+    parts = {"perception": perception, "goal": goal, "faults": faults}
+    return ExplorationScenario(world, robot, lidar, start, **parts, target_coverage=0.97)
 
 
 @pytest.fixture(scope="session")

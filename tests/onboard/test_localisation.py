@@ -117,7 +117,7 @@ def test_a_correction_is_no_jump_of_the_robot(explored) -> None:
 
 def test_the_same_data_give_the_same_commands(explored, drive_localised) -> None:
     (_, _, commands, poses, _, _), _, _ = explored
-    programs = (steps.observe, steps.derive, steps.plan, localisation._scanned)
+    programs = (steps.map_scan, steps.update_fields, steps.plan)
     before = [each._cached._cache_size() for each in programs]
     again = drive_localised(2.0, max_jump=MAX_JUMP)
     for one, other in zip(again[2], commands, strict=False):
@@ -259,4 +259,4 @@ def test_a_localisation_is_that_of_the_settings_and_external_poses_have_none() -
     pilot = build_pilot(settings, node)
     assert pilot.scenario.localisation is None
     np.testing.assert_array_equal(pilot.correction, np.zeros(3))
-    assert float(pilot._mapper._localiser._localiser.memory) == 7.0
+    assert float(pilot._mapper._robot.localisation.localiser.memory) == 7.0

@@ -55,7 +55,7 @@ def test_the_robot_is_done_when_nothing_is_worth_a_visit(explored) -> None:
 
 
 def test_the_same_data_give_the_same_commands_and_compile_nothing(explored, drive_once) -> None:
-    programs = (steps.observe, steps.derive, steps.plan)
+    programs = (steps.map_scan, steps.update_fields, steps.plan)
     before = [each._cached._cache_size() for each in programs]
     again = drive_once(2.0)[2]
     for one, other in zip(again, explored[2], strict=False):
@@ -288,7 +288,7 @@ def test_a_robot_that_is_told_to_return_drives_back_to_its_start(
     make_pilot, make_robot, drive, drive_until
 ) -> None:
     pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
-    before = steps.derive._cached._cache_size()
+    before = steps.update_fields._cached._cache_size()
     _, states = drive(pilot, robot, 2.5)
     assert np.hypot(*(states[-1][:2] - states[0][:2])) > 1.0
     pilot.task.turn_back(2.5, "told to return")
@@ -299,7 +299,7 @@ def test_a_robot_that_is_told_to_return_drives_back_to_its_start(
     assert not commands[-1].twist.any()
     assert robot.num_contacts == 0
     # The way out and the way back are one program.
-    assert steps.derive._cached._cache_size() <= before + 1
+    assert steps.update_fields._cached._cache_size() <= before + 1
 
 
 def test_an_order_to_go_on_ends_the_way_back(make_pilot) -> None:

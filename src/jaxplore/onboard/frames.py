@@ -7,14 +7,14 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxplore._types import Key
+from jaxplore._types import Key, StateVector
+from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller
 from jaxplore.onboard import steps
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.chunks import are_too_many
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.exploration.state import ExplorationState
 
 NUM_TRAJECTORIES = 30
 """Number of rollouts in a frame."""
@@ -62,7 +62,8 @@ def drive_frame(
     scenario: ExplorationScenario,
     controller: Controller,
     memory: Any,
-    state: ExplorationState,
+    state: StateVector,
+    belief: Belief,
     scan: Scan | None,
     key: Key,
     *,
@@ -75,7 +76,8 @@ def drive_frame(
         scenario: scenario of the drive.
         controller: controller of the robot.
         memory: state of the controller.
-        state: what the robot knows, and its state.
+        state: (nx,) state of the robot.
+        belief: what it knows.
         scan: the newest scan; None before the first.
         key: random key of the plan.
         number: number of control periods before it.
@@ -85,7 +87,7 @@ def drive_frame(
     if scan is None:
         beams = scenario.sensors[0].num_beams
         scan = Scan(jnp.zeros(beams), jnp.zeros(beams, bool))
-    arrays = steps.frame(scenario, controller, memory, state, scan, key, NUM_TRAJECTORIES)
+    arrays = steps.frame(scenario, controller, memory, state, belief, scan, key, NUM_TRAJECTORIES)
     made = scenario.make_frame(number, arrays)
     assert isinstance(made, ExplorationFrame)
     return dataclasses.replace(made, reference=reference) if reference.size else made

@@ -1,24 +1,22 @@
-"""The pose of a robot in its own map: odometry between scans, scans, and closed loops."""
+"""The poses of a robot by its odometry, in its map: an origin, jumps that are joined, and motions
+between scans."""
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxplore._types import Pose, Scalar
+from jaxplore._types import ArrayLike
 from jaxplore._xla import on_device
-from jaxplore.belief import scan_map
-from jaxplore.belief.belief import Belief
-from jaxplore.belief.perception import Perception
 from jaxplore.localisation.closing import LoopCloser
-from jaxplore.localisation.localiser import Localiser, LocaliserState
-from jaxplore.localisation.thinning import is_nearly_full, thinned
-from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.localisation.localiser import LocaliserState
 from jaxplore.onboard.odometry import KEPT_SECONDS, Placed, PoseHistory, moved, wrapped
-from jaxplore.robot.localisation import Localisation
-from jaxplore.sensing.beams import Beams, Scan
+from jaxplore.robot.localisation import Motions, PoseKnowledge
+from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.beams import Scan
 
 
 class MapPoses:
@@ -119,182 +117,69 @@ class MapPoses:
         return np.asarray(self.placed(pose, correction) + np.append(self.offset, 0.0))
 
 
-class MapLocaliser:
-    """Localises the lidar of a robot in its map, for the thread that maps.
+class ScanMotions:
+    """How the lidar of a robot may have moved between its scans, by the odometry.
 
-    A scan corrects the pose that the odometry led to. It counts only if it then fits the map. At
-    the rate of the localisation loops are closed; where they move stored scans, the map is made
-    anew from them, and the pose moves along. All times come with the scans.
-
-    Args:
-        localisation: localiser, what closes loops, and how often.
-        perception: sensors, and what makes the map; that of the start.
-        prior: map of the belief before the first scan.
-        start: pose of the robot there (x, y, yaw) [m, m, rad].
-
-    Raises:
-        ValueError: a localisation on a known map, which a robot has none of here.
+    An odometry that jumps starts anew elsewhere, or it was frozen and tells a true motion.
     """
 
-    def __init__(
-        self, localisation: Localisation, perception: Perception, prior: OccupancyGrid, start: Pose
-    ) -> None:
-        localiser = localisation.localiser
-        if not isinstance(localiser, Localiser):
-            raise ValueError(
-                f"localisation has a {type(localiser).__name__}; accepted on a robot: a Localiser, "
-                "which makes its map"
-            )
-        self._localiser, self._closer = localiser, localisation.closer
-        self._closing_period = 1.0 / localisation.closing_rate
-        self._sensors = (perception.sensors[0],)
-        self._prior, self._start = prior, start
-        self.known: LocaliserState = self._localiser.init(
-            start, prior.frame, prior.shape, self._sensors
-        )
-        # What the newest scan came upon: the state before it, the motion, and the time of it.
-        self._tried: tuple[LocaliserState, Pose, Scalar] | None = None
-        # The localised pose is that of the lidar, where beams start.
+    def __init__(self) -> None:
         self._reckoned: np.ndarray | None = None
-        self._time = self._closed_at = -math.inf
         self._joint: np.ndarray | None = None
-        self.correction = np.zeros(3)
+        self._time = 0.0
 
-    def prepare(self, perception: Perception, belief: Belief) -> None:
-        """Compile everything that the other methods call.
+    @property
+    def is_first(self) -> bool:
+        """Whether no scan was added."""
+        return self._reckoned is None
 
-        Raises:
-            ValueError: loops are closed, and GTSAM is not installed.
-        """
-        scan, still = _room(self._sensors[0]), jnp.zeros(3)
-        state = _scanned(self._localiser, self.known, still, jnp.ones(()), scan, self._sensors)
-        jax.block_until_ready(_predicted(self._localiser, self.known, still, jnp.ones(())))  # type: ignore[no-untyped-call]
-        if self._closer is None:
-            return
-        # A place is seen again where the odometry is a fifth of a metre off, and any match counts:
-        # the search, the pose graph and the new map run once.
-        way = state.way + self._localiser.memory + 1.0
-        state = _scanned(
-            self._localiser, state._replace(way=way), still, jnp.ones(()), scan, self._sensors
-        )
-        poses = np.array(state.scans.poses)
-        poses[1] = poses[0] + np.array([0.2, 0.0, 0.0])
-        state = state._replace(scans=state.scans._replace(poses=on_device(poses)))
-        eager = eqx.tree_at(
-            lambda each: (
-                *(each.reach, each.least_share, each.most_contradicted),
-                *(each.tolerance, each.most_stds),
-            ),
-            self._closer,
-            tuple(on_device(np.array(each, np.float32)) for each in (1.0, 0.0, 1.0, 1e-3, 1e9)),
-        )
-        found, made = self._revised(eager, state, perception, belief)
-        jax.block_until_ready((made, thinned(found)))  # type: ignore[no-untyped-call]
-
-    def corrected(
-        self, time: float, scan: Scan, reckoned: np.ndarray, joint: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Return the pose (3,) of the lidar in the map, corrected by its scan [m, m, rad].
-
-        An odometry that jumps starts anew elsewhere, or it was frozen and tells a true motion. The
-        scan says which: where more of it lies on known surfaces.
-
-        Call `reject` after it if the scan contradicts the map.
+    def add(self, time: float, reckoned: np.ndarray, joint: np.ndarray | None) -> Motions:
+        """Return the motions since the scan before this one; that of the first is 0.
 
         Args:
             time: time of the scan [s].
-            scan: the scan.
             reckoned: (3,) pose of the lidar by the odometry, without jumps [m, m, rad].
             joint: (3,) what joins the odometry after its jumps, see `MapPoses`.
         """
-        self._tried = None
-        if not (np.isfinite(reckoned).all() and np.isfinite(np.asarray(scan.ranges)).all()):
-            # Nothing is measured, and the motion is a part of the next one.
-            return composed(self.correction, reckoned)
-        if self._reckoned is None:
-            # The first scan says where the map begins.
-            self.known = self.known._replace(pose=on_device(reckoned.astype(np.float32)))
-            motions, elapsed = [np.zeros(3)], 0.0
-        else:
-            ends, elapsed = [reckoned], time - self._time
-            if joint is not None and self._joint is not None and joint is not self._joint:
-                ends.append(composed(composed(self._joint, inverse(joint)), reckoned))
-            motions = [difference(self._reckoned, each) for each in ends]
-        before, best = self.known, -1.0
-        for motion in motions:
-            step = on_device(motion.astype(np.float32)), on_device(np.array(elapsed, np.float32))
-            after = _scanned(self._localiser, before, *step, scan, self._sensors)
-            if len(motions) == 1 or float(after.share) > best:
-                best = float(after.share)
-                self.known, self._tried = after, (before, *step)
-        self._joint = joint
-        self._reckoned, self._time = reckoned, time
-        self._correct()
-        return np.asarray(self.known.pose, np.float64)
-
-    def reject(self) -> None:
-        """Take back the newest scan, which contradicts the map: the pose follows the odometry."""
-        if self._tried is not None:
-            self.known = _predicted(self._localiser, *self._tried)
-            self._tried = None
-            self._correct()
-
-    def revised(self, perception: Perception, belief: Belief) -> Belief:
-        """Close loops if it is time; return the belief, the same if no scan has moved.
-
-        Args:
-            perception: perception of the task.
-            belief: the belief with the newest scan.
-        """
-        if self._closer is None or self._time - self._closed_at < self._closing_period - 1e-3:
-            return belief
-        self._closed_at = self._time
-        if is_nearly_full(self.known):
-            self.known = thinned(self.known)
-        self.known, after = self._revised(self._closer, self.known, perception, belief)
-        self._correct()
-        return after
-
-    def _revised(
-        self, closer: LoopCloser, known: LocaliserState, perception: Perception, belief: Belief
-    ) -> tuple[LocaliserState, Belief]:
-        return scan_map.revised(
-            closer, self._localiser, known, perception, belief, self._prior, self._start
-        )
-
-    def _correct(self) -> None:
-        """Set the correction: what turns the pose by the odometry into the localised one."""
+        motions, number, elapsed = np.zeros((2, 3), np.float32), 1, 0.0
         if self._reckoned is not None:
-            place = np.asarray(self.known.pose, np.float64)
-            self.correction = composed(place, inverse(self._reckoned))
+            elapsed = time - self._time
+            motions[0] = difference(self._reckoned, reckoned)
+            if joint is not None and self._joint is not None and joint is not self._joint:
+                true = composed(composed(self._joint, inverse(joint)), reckoned)
+                motions[1], number = difference(self._reckoned, true), 2
+        self._reckoned, self._joint, self._time = reckoned, joint, time
+        return Motions(*jax.device_put((motions, np.int32(number), np.float32(elapsed))))
 
 
-@eqx.filter_jit
-def _predicted(
-    localiser: Localiser, known: LocaliserState, motion: Pose, elapsed: Scalar
-) -> LocaliserState:
-    return localiser.predicted(known, motion, elapsed)
-
-
-@eqx.filter_jit
-def _scanned(
-    localiser: Localiser,
-    known: LocaliserState,
-    motion: Pose,
-    elapsed: Scalar,
-    scan: Scan,
-    sensors: tuple[Beams, ...],
-) -> LocaliserState:
-    """Return the state after a motion and a scan."""
-    return localiser.corrected(localiser.predicted(known, motion, elapsed), (scan,), sensors)
-
-
-def _room(sensor: Beams) -> Scan:
+def scan_room(sensor: Sensor) -> Scan:
     """Return a scan of a room that the sensor sees all of."""
     cos, sin = np.abs(np.cos(sensor.beam_angles)), np.abs(np.sin(sensor.beam_angles))
     sides = 0.6 * sensor.max_range, 0.4 * sensor.max_range
     ranges = np.minimum(sides[0] / np.maximum(cos, 1e-3), sides[1] / np.maximum(sin, 1e-3))
     return Scan(jnp.asarray(ranges, jnp.float32), jnp.ones(sensor.num_beams, bool))
+
+
+def replace_known(place: PoseKnowledge, **values: ArrayLike) -> PoseKnowledge:
+    """Return what a robot knows of its pose, with some of its numbers replaced, by name."""
+    assert isinstance(place.known, LocaliserState)
+    given: dict[str, Any] = {
+        name: on_device(np.asarray(value, np.float32)) for name, value in values.items()
+    }
+    return place._replace(known=place.known._replace(**given))
+
+
+def close_any(closer: LoopCloser) -> LoopCloser:
+    """Return a closer that takes any match for a loop."""
+    eager: LoopCloser = eqx.tree_at(
+        lambda each: (
+            *(each.reach, each.least_share, each.most_contradicted),
+            *(each.tolerance, each.most_stds),
+        ),
+        closer,
+        tuple(on_device(np.array(each, np.float32)) for each in (1.0, 0.0, 1.0, 1e-3, 1e9)),
+    )
+    return eager
 
 
 def composed(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:

@@ -10,14 +10,22 @@ import numpy as np
 from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
-from jaxplore.control.plausibility import RETRY_SECONDS
+from jaxplore.localisation.localiser import Localiser, LocaliserState
+from jaxplore.localisation.thinning import thinned
 from jaxplore.onboard import steps
-from jaxplore.onboard.localisation import MapLocaliser
+from jaxplore.onboard.localisation import (
+    ScanMotions,
+    close_any,
+    composed,
+    inverse,
+    replace_known,
+    scan_room,
+)
 from jaxplore.onboard.log import DriveLog
-from jaxplore.robot.localisation import Localisation
+from jaxplore.robot.localisation import Localisation, Motions
+from jaxplore.robot.robot import FITTING, RobotState
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.exploration.state import ExplorationState
 
 
 class _Due(NamedTuple):
@@ -35,21 +43,26 @@ class Known(NamedTuple):
     """What a robot knows at a time.
 
     Args:
-        state: the state with the belief.
+        own: its map, and its pose at the newest scan.
         correction: (3,) pose of the odometry in the map; None where they are the same.
-        time: time of the newest scan in the map [s].
+        time: time of the newest scan [s].
     """
 
-    state: ExplorationState
+    own: RobotState
     correction: np.ndarray | None
     time: float = -math.inf
 
+    @property
+    def belief(self) -> Belief:
+        """What the robot knows of the world."""
+        return self.own.belief
+
 
 class Mapper:
-    """Keeps the belief of a drive up to date.
+    """Keeps what a robot knows on a drive up to date, see `Robot`.
 
-    With a localisation, scans are mapped where they say that the robot is. `add` may be called from
-    another thread than the other methods.
+    With a localisation, scans are mapped where they say that the robot is, and at its rate loops
+    are closed. `add` and `distrust` may be called from another thread than the other methods.
 
     Args:
         scenario: sensor and rates.
@@ -57,8 +70,11 @@ class Mapper:
         localisation: how the robot finds its pose; it is given when absent.
 
     Attributes:
-        known: belief and correction, which change together.
+        known: what the robot knows, and the correction of its odometry, which change together.
         is_misfit: whether the newest scan contradicted the map.
+
+    Raises:
+        ValueError: a localisation on a known map, which a robot has none of here.
     """
 
     def __init__(
@@ -67,32 +83,36 @@ class Mapper:
         log: DriveLog,
         localisation: Localisation | None = None,
     ) -> None:
-        self._period = scenario.period
-        self._scan_period = float(scenario.steps_per_scan) * self._period
-        self._field_period = float(scenario.steps_per_field) * self._period
-        self._sensor = scenario.sensors[0]
-        self._log = log
-        state = steps.initial(scenario)
-        self._localiser: MapLocaliser | None = None
-        if localisation is not None:
-            start = on_device(np.asarray(scenario.robot.pose(scenario.start)))
-            self._localiser = MapLocaliser(
-                localisation, scenario.perception, scenario.map_arrays.prior, start
+        if localisation is not None and not isinstance(localisation.localiser, Localiser):
+            raise ValueError(
+                f"localisation has a {type(localisation.localiser).__name__}; accepted on a robot: "
+                "a Localiser, which makes its map"
             )
-        self.known = Known(state, None if localisation is None else np.zeros(3))
+        self._period = scenario.period
+        self._scan_period = float(scenario.rates.since_scan)
+        self._field_period = float(scenario.rates.since_fields)
+        self._log = log
+        self._prior = scenario.map_arrays.prior
+        self._start = on_device(np.asarray(scenario.robot.pose(scenario.start)))
+        self._robot = scenario.onboard._replace(
+            localisation=localisation, prior=None if localisation is None else self._prior
+        )
+        self._no_misfit = on_device(np.array(FITTING, np.float32))
+        own = steps.initial(scenario).own._replace(points=None, place=None, unfit=self._no_misfit)
+        if localisation is not None:
+            own = own._replace(
+                place=localisation.init(self._start, own.belief.grid, self._robot.sensors, None)
+            )
+        self.known = Known(own, None if localisation is None else np.zeros(3))
+        self._motions = ScanMotions()
         self._due: _Due | None = None
-        self._taken_at = self._mapped_at = self._derived_at = self._fit_at = -math.inf
-        self.is_misfit = False
-
-    @property
-    def state(self) -> ExplorationState:
-        """The state with the belief."""
-        return self.known.state
+        self._is_distrusted = self.is_misfit = False
+        self._taken_at = self._mapped_at = self._derived_at = self._closed_at = -math.inf
 
     @property
     def belief(self) -> Belief:
         """What the robot knows, relative to the first position."""
-        return self.state.belief
+        return self.known.belief
 
     @property
     def correction(self) -> np.ndarray | None:
@@ -100,16 +120,37 @@ class Mapper:
         return self.known.correction
 
     def prepare(self, perception: Perception) -> None:
-        """Compile what the other methods call."""
-        number = self._sensor.num_beams
-        scan = Scan(jnp.zeros(number), jnp.zeros(number, bool))
-        pose, second = jnp.zeros(3), jnp.ones(())
-        never = jnp.array(False)
-        belief = steps.observe(perception, self.belief, scan, pose, second, never).belief
-        jax.block_until_ready(steps.derive(perception, belief, pose, second))  # type: ignore[no-untyped-call]
-        if self._localiser is not None:
-            self._localiser.prepare(perception, belief)
-            steps.free_cells(belief)
+        """Compile what the other methods call.
+
+        Raises:
+            ValueError: loops are closed, and GTSAM is not installed.
+        """
+        robot, own = self._robot._replace(perception=perception), self.known.own
+        pose, second, scan = jnp.zeros(3), jnp.ones(()), scan_room(self._robot.sensors[0])
+        localisation, motions = robot.localisation, None
+        if localisation is not None:
+            motions = Motions(jnp.zeros((2, 3)), jnp.ones((), jnp.int32), second)
+        inputs = steps.MapInputs(pose, scan, second, motions)
+        own, _ = steps.map_scan(robot, own, inputs)
+        jax.block_until_ready(steps.update_fields(robot, own, pose, second))  # type: ignore[no-untyped-call]
+        if localisation is None or localisation.closer is None or own.place is None:
+            return
+        # A place is seen again where the odometry is a fifth of a metre off, after a way on which
+        # surfaces were forgotten, and any match counts: the search, the pose graph and the new map
+        # run once.
+        assert isinstance(localisation.localiser, Localiser)
+        off, way = jnp.array([[0.2, 0.0, 0.0]] * 2), localisation.localiser.memory + 1.0
+        inputs = inputs._replace(motions=Motions(off, jnp.ones((), jnp.int32), second))
+        own = own._replace(place=replace_known(own.place, way=way))
+        own, _ = steps.map_scan(robot, own, inputs)
+        assert own.place is not None
+        eager = localisation.replace_closer(close_any(localisation.closer))
+        place, belief = eager.close_loops(
+            own.place, own.belief, perception, self._prior, self._start
+        )
+        assert isinstance(place.known, LocaliserState)
+        made = (steps.free_cells(belief), thinned(place.known))
+        jax.block_until_ready(made)  # type: ignore[no-untyped-call]
 
     def add(
         self,
@@ -133,41 +174,47 @@ class Mapper:
         if time - self._taken_at >= self._scan_period - 0.5 * self._period:
             self._taken_at, self._due = time, _Due(time, scan, pose, now, joint)
 
-    def map_scan(self, perception: Perception) -> None:
-        """Map the newest scan that is due, if it fits the map.
+    def distrust(self) -> None:
+        """Note that for a while no scan was taken, because the pose may not be true: scans that did
+        not fit before tell nothing of the world."""
+        self._is_distrusted = True
 
-        After `RETRY_SECONDS` of scans that do not fit, the world has changed, and they are mapped.
+    def map_scan(self, perception: Perception) -> None:
+        """Let the robot map the newest scan that is due, see `Robot.map_scans`.
+
+        Args:
+            perception: perception of the task.
         """
         due, self._due = self._due, None
         if due is None:
             return
+        own, robot = self.known.own, self._robot._replace(perception=perception)
+        if self._is_distrusted:
+            self._is_distrusted, own = False, own._replace(unfit=self._no_misfit)
+        motions = None
+        if own.place is not None:
+            if not (np.isfinite(due.pose).all() and np.isfinite(np.asarray(due.scan.ranges)).all()):
+                # Nothing is measured, and the motion is a part of the next one.
+                return
+            if self._motions.is_first:
+                # The first scan says where the map begins.
+                own = own._replace(place=replace_known(own.place, pose=due.pose))
+            motions = self._motions.add(due.time, due.pose, due.joint)
         is_first = not math.isfinite(self._mapped_at)
         elapsed = self._scan_period if is_first else due.time - self._mapped_at
-        localiser, pose = self._localiser, due.pose
-        if localiser is not None:
-            pose = localiser.corrected(due.time, due.scan, due.pose, due.joint)
-        is_changed = self.is_misfit and due.time - self._fit_at > RETRY_SECONDS
-        mapped = steps.observe(
-            perception,
-            self.belief,
-            due.scan,
-            on_device(pose.astype(np.float32)),
-            jnp.asarray(elapsed, jnp.float32),
-            jnp.asarray(is_changed),
-        )
-        belief, is_misfit = mapped.belief, bool(mapped.is_misfit)
-        self._log.add_known(due.now, np.asarray(mapped.is_free))
-        if localiser is not None:
-            if is_misfit and not is_changed:
-                localiser.reject()
-            belief = localiser.revised(perception, belief)
-            if belief is not mapped.belief:
-                self._log.add_known(due.now, np.asarray(steps.free_cells(belief)))
-        correction = None if localiser is None else localiser.correction
-        self.known = Known(self.state.with_belief(belief), correction, due.time)
-        self.is_misfit = is_misfit
-        if not is_misfit:
-            self._fit_at = due.time
+        given = (due.pose.astype(np.float32), due.scan, np.float32(elapsed))
+        pose, scan, since = jax.device_put(given)
+        own, is_free = steps.map_scan(robot, own, steps.MapInputs(pose, scan, since, motions))
+        self._log.add_known(due.now, np.asarray(is_free))
+        self.is_misfit = bool(np.asarray(own.unfit) >= 0.0)
+        correction = None
+        if robot.localisation is not None:
+            own = self._close_loops(robot.localisation, perception, own, due)
+            assert own.place is not None
+            # What turns the pose by the odometry into the one that was found.
+            pose = np.asarray(own.place.known.pose, np.float64)
+            correction = composed(pose, inverse(due.pose))
+        self.known = Known(own, correction, due.time)
         self._mapped_at = due.time
 
     def update_fields(self, perception: Perception, now: float, pose: np.ndarray) -> float | None:
@@ -185,12 +232,25 @@ class Mapper:
             return None
         is_first = not math.isfinite(self._derived_at)
         elapsed = self._field_period if is_first else now - self._derived_at
-        belief, cost = steps.derive(
-            perception,
-            self.belief,
-            on_device(pose.astype(np.float32)),
-            jnp.asarray(elapsed, jnp.float32),
-        )
-        self.known = self.known._replace(state=self.state.with_belief(belief))
+        given = jax.device_put((pose.astype(np.float32), np.float32(elapsed)))
+        robot = self._robot._replace(perception=perception)
+        own, cost = steps.update_fields(robot, self.known.own, *given)
+        self.known = self.known._replace(own=own)
         self._derived_at = now
         return float(cost)
+
+    def _close_loops(
+        self, localisation: Localisation, perception: Perception, own: RobotState, due: _Due
+    ) -> RobotState:
+        """Close loops if it is time; note the cells that are free where that moved the map."""
+        closing_period = 1.0 / localisation.closing_rate
+        if localisation.closer is None or due.time - self._closed_at < closing_period - 1e-3:
+            return own
+        self._closed_at = due.time
+        assert own.place is not None
+        place, belief = localisation.close_loops(
+            own.place, own.belief, perception, self._prior, self._start
+        )
+        if belief is not own.belief:
+            self._log.add_known(due.now, np.asarray(steps.free_cells(belief)))
+        return own._replace(place=place, belief=belief)

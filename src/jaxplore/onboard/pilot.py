@@ -248,6 +248,8 @@ class Pilot:
     def _command(self, now: float, elapsed: float) -> Command:
         self._take_known()
         problem = self._data.problem(now, self._twist)
+        if problem is not None:
+            self._mapper.distrust()
         if self._clock.is_standing:
             problem = "the simulated clock stands still"
         scan_time = None if problem else self._take_scan(now)
@@ -353,7 +355,8 @@ class Pilot:
             self.scenario,
             self.controller,
             self._memory,
-            self._mapper.state._replace(robot=on_device(state)),
+            on_device(state),
+            self._mapper.belief,
             None if self._scan is None else self._scan.scan,
             self._frame_key,
             number=self.log.num_steps,
@@ -447,7 +450,7 @@ class Pilot:
             self.check,
             self.task.perception.tracker,
             self._memory,
-            self._known.state.belief,
+            self._known.belief,
             inputs,
             self.scenario.control_period,
             self._key,

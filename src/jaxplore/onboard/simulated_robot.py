@@ -275,7 +275,7 @@ def _measure(
     truth = scenario.true_world(state, moment)
     pose = compose(scenario.robot.pose(state.robot), mount)
     scans = truth.scans(scenario.sensors, pose, key)
-    since = scenario.onboard.since_scan
+    since = scenario.rates.since_scan
     judge = Judge(scenario.perception, scenario.map_arrays.reachable)
     before = judge.count_window(state.belief.grid, pose)
     belief = scenario.perception.observe(state.belief, scans, pose, since)

@@ -11,14 +11,13 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import ControlVector, Count, Flag, GridMask, Key, Pose, Scalar, StateVector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.perception import Perception
 from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller
 from jaxplore.control.latency import predicted_state
-from jaxplore.control.plausibility import MAX_MISFIT, scan_misfit
 from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.robot.localisation import corrected_state
+from jaxplore.robot.localisation import Motions, corrected_state
+from jaxplore.robot.robot import Measurement, Robot, RobotState, Sight
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.frames import frame_arrays
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -59,18 +58,20 @@ class Planned(NamedTuple):
     effective_sample_size: Scalar
 
 
-class Mapped(NamedTuple):
-    """A belief after a scan.
+class MapInputs(NamedTuple):
+    """A scan that is to be mapped.
 
     Args:
-        belief: the belief.
-        is_free: (H, W) cells that are known to be free.
-        is_misfit: whether the scan contradicted the map.
+        pose: pose of the lidar (x, y, yaw) by the odometry [m, m, rad].
+        scan: the scan.
+        elapsed: time since the one before it [s].
+        motions: how the lidar may have moved meanwhile; None if the odometry tells the pose.
     """
 
-    belief: Belief
-    is_free: GridMask
-    is_misfit: Flag
+    pose: Pose
+    scan: Scan
+    elapsed: Scalar
+    motions: Motions | None
 
 
 @eqx.filter_jit
@@ -80,31 +81,29 @@ def initial(scenario: ExplorationScenario, key: Key | None = None) -> Exploratio
 
 
 @eqx.filter_jit
-def observe(
-    perception: Perception,
-    belief: Belief,
-    scan: Scan,
-    pose: Pose,
-    elapsed: Scalar,
-    is_changed: Flag,
-) -> Mapped:
-    """Update the map by a scan that fits it; see `Perception.observe`.
+def map_scan(robot: Robot, own: RobotState, inputs: MapInputs) -> tuple[RobotState, GridMask]:
+    """Let a robot map a scan; see `Robot.map_scans`.
 
     Args:
-        perception: perception of the task.
-        belief: the belief before the scan.
-        scan: the scan.
-        pose: pose of the lidar (x, y, yaw) [m, m, rad].
-        elapsed: time since the last mapped scan [s].
-        is_changed: whether the world has changed, so that a scan that does not fit is mapped.
+        robot: the robot.
+        own: what it knows before.
+        inputs: the scan.
+
+    Returns:
+        What it knows after, and the cells (H, W) that are known to be free.
     """
-    is_misfit = scan_misfit(belief, perception.sensors[0], scan, pose) > MAX_MISFIT
-    belief = jax.lax.cond(
-        is_misfit & ~is_changed,
-        lambda: belief,
-        lambda: perception.observe(belief, scan, pose, elapsed),
-    )
-    return Mapped(belief, belief.grid.is_free, is_misfit)
+    pose, scan, elapsed, motions = inputs
+    measured = _measured(pose, scan, elapsed, is_scan_due=True)._replace(motions=motions)
+    own, sight = robot.examine(own, measured)
+    own, _ = robot.map_scans(own, measured, sight)
+    return own, own.belief.grid.is_free
+
+
+def _measured(pose: Pose, scan: Scan, elapsed: Scalar, *, is_scan_due: bool) -> Measurement:
+    """Return what a robot measures when either its scan or its fields are due."""
+    due, none = jnp.array(True), jnp.array(False)
+    flags = (due, elapsed, none, elapsed) if is_scan_due else (none, elapsed, due, elapsed)
+    return Measurement(pose, none, (scan,), *flags, elapsed, time=None)
 
 
 @eqx.filter_jit
@@ -114,12 +113,25 @@ def free_cells(belief: Belief) -> GridMask:
 
 
 @eqx.filter_jit
-def derive(
-    perception: Perception, belief: Belief, pose: Pose, elapsed: Scalar
-) -> tuple[Belief, Scalar]:
-    """Update the fields; return them, and the cost-to-go of the guidance field at the robot [m]."""
-    belief = perception.update_fields(belief, pose, elapsed)
-    return belief, belief.guidance(pose[:2])
+def update_fields(
+    robot: Robot, own: RobotState, pose: Pose, elapsed: Scalar
+) -> tuple[RobotState, Scalar]:
+    """Let a robot update its fields; see `Robot.update_fields`.
+
+    Args:
+        robot: the robot.
+        own: what it knows before.
+        pose: where it takes itself to be (x, y, yaw) [m, m, rad].
+        elapsed: time since the last update [s].
+
+    Returns:
+        What it knows after, and the cost-to-go of the guidance field at the robot [m].
+    """
+    beams = robot.sensors[0].num_beams
+    blank = Scan(jnp.zeros(beams), jnp.zeros(beams, bool))
+    measured = _measured(pose, blank, elapsed, is_scan_due=False)
+    own = robot.update_fields(own, measured, Sight.at(pose))
+    return own, own.belief.guidance(pose[:2])
 
 
 def corrected(
@@ -264,7 +276,8 @@ def frame(
     scenario: ExplorationScenario,
     controller: Controller,
     memory: Any,
-    state: ExplorationState,
+    state: StateVector,
+    belief: Belief,
     scan: Scan,
     key: Key,
     num_trajectories: int,
@@ -273,7 +286,8 @@ def frame(
     planned = None
     if num_trajectories:
         planned = controller.inspect(
-            memory, state.robot, state.belief, key=key, num_trajectories=num_trajectories
+            memory, state, belief, key=key, num_trajectories=num_trajectories
         )
-    sensor = scenario.sensors[0]
-    return frame_arrays(scenario.robot, sensor, state, scan, None, planned)
+    is_seen = jnp.zeros(scenario.num_targets, bool)
+    seen = (scenario.robot, scenario.sensors[0], state, belief, is_seen)
+    return frame_arrays(*seen, scan, None, planned)

@@ -1,6 +1,7 @@
 """How a robot finds its pose: an estimator between scans and at scans, and closed loops."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Key, Pose, Scalar, StateVector
+from jaxplore._types import ArrayLike, Count, Key, Pose, Scalar, StateVector
 from jaxplore.belief import scan_map
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.certainty import CertaintyField
@@ -38,6 +39,21 @@ class PoseKnowledge(NamedTuple):
 
     known: PoseState
     spreads: Float[Array, " K"] | None
+
+
+class Motions(NamedTuple):
+    """Motions of which a robot has made one: an odometry that jumps starts anew elsewhere, or it
+    was frozen and tells a true motion.
+
+    Args:
+        motions: (N, 3) motions (dx, dy, dyaw) by the odometry, in the frame of the robot.
+        number: number of them, the first ones.
+        elapsed: time that they took [s].
+    """
+
+    motions: Float[Array, "N 3"]
+    number: Count
+    elapsed: Scalar
 
 
 class Localisation(eqx.Module):
@@ -144,6 +160,39 @@ class Localisation(eqx.Module):
         """
         return place._replace(known=self.localiser.predicted(place.known, motion, period))
 
+    def follow(
+        self,
+        place: PoseKnowledge,
+        motions: Motions,
+        scans: Sequence[Scan],
+        sensors: Sequence[Sensor],
+    ) -> tuple[PoseKnowledge, PoseKnowledge]:
+        """Return what the robot knows after one of several motions, before scans correct it and
+        after that: the motion after which more of the first scan lies on known surfaces.
+
+        Args:
+            place: what it knew before.
+            motions: the motions.
+            scans: a scan of each sensor.
+            sensors: the sensors.
+        """
+
+        def try_motion(
+            index: Count, best: tuple[Count, PoseKnowledge]
+        ) -> tuple[Count, PoseKnowledge]:
+            after = self.predict(place, motions.motions[index], motions.elapsed)
+            found = self.correct(after, scans, sensors)
+            shares = (_localiser_state(each).share for each in (found, best[1]))
+            is_better = (index == 0) | jnp.greater(*shares)
+            select = functools.partial(jnp.where, is_better)
+            chosen: tuple[Count, PoseKnowledge] = jax.tree.map(select, (index, found), best)
+            return chosen
+
+        # A loop, in which the matching of scans is compiled once.
+        first = (jnp.zeros((), jnp.int32), place)
+        best, found = jax.lax.fori_loop(0, motions.number, try_motion, first)
+        return self.predict(place, motions.motions[best], motions.elapsed), found
+
     def correct(
         self, place: PoseKnowledge, scans: Sequence[Scan], sensors: Sequence[Sensor]
     ) -> PoseKnowledge:
@@ -155,6 +204,11 @@ class Localisation(eqx.Module):
             sensors: the sensors.
         """
         return place._replace(known=self.localiser.corrected(place.known, scans, sensors))
+
+    def replace_closer(self, closer: LoopCloser) -> "Localisation":
+        """Return the same localisation with another closer."""
+        other: Localisation = eqx.tree_at(lambda each: each.closer, self, closer)
+        return other
 
     def inform(self, place: PoseKnowledge, belief: Belief) -> Belief:
         """Return the belief with what planning needs of the localisation, for the next fields.

@@ -1,28 +1,32 @@
 """A robot: what it measures goes in, what it knows comes out."""
 
 import dataclasses
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore._types import Count, Flag, Pose, Scalar, StateVector
+from jaxplore._types import Flag, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception
-from jaxplore.control.guard import BLIND, MISFIT, GuardState, ScanPoints
-from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump
+from jaxplore.control.guard import BLIND, GOOD, MISFIT, GuardState, ScanPoints
+from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump, scan_misfit
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose, placed
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.robot.clock import when_due
 from jaxplore.robot.knowledge import Knowledge
-from jaxplore.robot.localisation import Localisation, PoseKnowledge
+from jaxplore.robot.localisation import Localisation, Motions, PoseKnowledge
 from jaxplore.robot.scan_points import scan_points
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.detector import Detections
+
+FITTING = -1.0
+"""Time for which scans have not fitted the map, while they do fit [s]."""
 
 
 class Told(NamedTuple):
@@ -58,30 +62,41 @@ class Look(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """All that a robot measures in a control period.
+    """All that a robot measures in a control period, and what is due in it.
+
+    A simulated robot counts periods. A real one has times of its own, and says how long they were.
 
     Args:
-        step: number of steps before it.
-        time: time since the start [s].
-        observed: (nx,) state by the odometry; NaN where the guard does not trust it.
+        pose: pose (x, y, yaw) by the odometry, also where the guard does not trust it [m, m, rad].
         is_blind: whether there is no measurement.
         scans: newest scan of each sensor; it is from this period if scans are due.
-        measured: (nx,) state by the odometry, also where the guard does not trust it; None without
-            a guard.
+        is_scan_due: whether scans are due.
+        since_scan: time since scans were last due [s].
+        are_fields_due: whether an update of the fields is due.
+        since_fields: time since the last one [s].
+        elapsed: time since the measurement before [s].
+        time: time since the start [s]; None for a drive without an end, whose time has no place in
+            single precision: it has no guard and recognises nothing.
         guard: judgement of the guard; None without one.
         told: moving obstacles; None for a robot that finds them in its scans.
         look: reports of objects; None for a robot that recognises none.
+        motions: how the robot may have moved since scans were last due, for one that finds its pose
+            and has not predicted it meanwhile.
     """
 
-    step: Count
-    time: Scalar
-    observed: StateVector
+    pose: Pose
     is_blind: Flag
     scans: tuple[Scan, ...]
-    measured: StateVector | None = None
+    is_scan_due: Flag
+    since_scan: Scalar
+    are_fields_due: Flag
+    since_fields: Scalar
+    elapsed: Scalar
+    time: Scalar | None
     guard: GuardState | None = None
     told: Told | None = None
     look: Look | None = None
+    motions: Motions | None = None
 
 
 class RobotState(NamedTuple):
@@ -92,28 +107,39 @@ class RobotState(NamedTuple):
         knowledge: what is left to learn.
         points: end points of the newest scan, for the guard; None without one.
         place: what it knows of its pose; None if its odometry tells the pose.
+        unfit: time for which scans have not fitted the map [s], negative while they do; None if
+            they are all mapped.
     """
 
     belief: Belief
     knowledge: Knowledge
     points: ScanPoints | None = None
     place: PoseKnowledge | None = None
+    unfit: Scalar | None = None
 
 
 class Sight(NamedTuple):
     """Where and whether the scans of a period are taken.
 
     Args:
-        pose: pose at which the robot takes itself to be by the odometry [m, m, rad].
-        is_placed: whether it is finite.
-        is_fit: whether the scan fits the map, or the world has changed.
+        pose: pose at which the robot takes itself to be [m, m, rad].
+        is_placed: whether it is finite, and nothing but a scan speaks against it.
         is_taken: whether scans that are due are taken.
     """
 
     pose: Pose
     is_placed: Flag
-    is_fit: Flag
     is_taken: Flag
+
+    @classmethod
+    def at(cls, pose: Pose) -> "Sight":
+        """Return the sight of a robot at a pose that nothing speaks against."""
+        is_placed = jnp.isfinite(pose).all()
+        return cls(pose, is_placed, is_placed)
+
+    def correct(self, place: PoseKnowledge | None) -> "Sight":
+        """Return the sight of a robot that may have found its pose; None if it does not look."""
+        return self if place is None else self._replace(pose=place.known.pose)
 
 
 class Robot(NamedTuple):
@@ -125,9 +151,6 @@ class Robot(NamedTuple):
         model: model of the robot.
         sensors: the sensors.
         perception: update of the belief from scans.
-        period: control period [s].
-        steps_per_scan: control periods between two scans.
-        steps_per_field: control periods between two updates of the fields.
         localisation: how the robot finds its pose; None if its odometry tells it.
         prior: map that the robot knew in advance, for one that finds its pose.
         counts_walls: whether it counts the walls that it knows.
@@ -136,81 +159,81 @@ class Robot(NamedTuple):
     model: Dynamics
     sensors: tuple[Sensor, ...]
     perception: Perception
-    period: Scalar
-    steps_per_scan: Count
-    steps_per_field: Count
     localisation: Localisation | None = None
     prior: OccupancyGrid | None = None
     counts_walls: bool = False
 
-    @property
-    def since_scan(self) -> Scalar:
-        """Time between two scans [s]."""
-        return self.period * self.steps_per_scan.astype(jnp.float32)
-
-    @property
-    def since_fields(self) -> Scalar:
-        """Time between two updates of the fields [s]."""
-        return self.period * self.steps_per_field.astype(jnp.float32)
-
-    def is_scan_due(self, step: Count) -> Flag:
-        """Check whether scans are due at a step."""
-        return step % self.steps_per_scan == 0
-
-    def are_fields_due(self, step: Count) -> Flag:
-        """Check whether an update of the fields is due at a step.
-
-        The fields are derived one step before a strategic layer of the same rate runs: it reads
-        fresh fields, and no single step has the cost of both.
-        """
-        every = self.steps_per_field
-        return (step % every == every - 1) | (step == 0)
-
     def examine(self, own: RobotState, measured: Measurement) -> tuple[RobotState, Sight]:
         """Predict the obstacles, keep the points of a scan for the guard, and judge the scan.
+
+        The scan of a robot that finds its pose is judged by `map_scans`, where it says that the
+        robot is.
 
         Args:
             own: what the robot knows.
             measured: what it measures.
         """
-        pose, guard, is_fit = self.model.pose(measured.observed), measured.guard, jnp.array(True)
+        pose, guard = measured.pose, measured.guard
+        if guard is not None:
+            # While only scans speak against a pose, they say there when they fit again.
+            is_trusted = (guard.stop == GOOD) | (guard.stop == MISFIT) | (guard.stop == BLIND)
+            pose = jnp.where(is_trusted, pose, jnp.nan)
+        sight = Sight.at(pose)
         if guard is not None and own.points is not None:
-            assert measured.measured is not None
-            here, expected = (self.model.pose(each) for each in (measured.measured, guard.expected))
+            assert measured.time is not None
+            expected, time = self.model.pose(guard.expected), measured.time
 
-            def examine(_: ScanPoints) -> tuple[ScanPoints]:
+            def keep(_: ScanPoints) -> tuple[ScanPoints]:
                 found = scan_points(
-                    *(own.belief, self.sensors, measured.scans, here, expected),
-                    *(measured.time, self.since_scan, self.perception.tracker),
+                    *(own.belief, self.sensors, measured.scans, measured.pose, expected),
+                    *(time, measured.since_scan, self.perception.tracker),
                 )
                 return (found,)
 
             # A stopped robot brakes by its scans, which need no place in the map.
-            (points,) = when_due(
-                self.is_scan_due(measured.step), ~measured.is_blind, examine, (own.points,)
-            )
+            (points,) = when_due(measured.is_scan_due, ~measured.is_blind, keep, (own.points,))
             own = own._replace(points=points)
-            # A scan that does not fit is not mapped. If only the scan speaks against a pose at
-            # which the robot has stood for a while, it is the world that has changed.
-            is_changed = (guard.stop == MISFIT) & (guard.since > RETRY_SECONDS)
-            is_fit = (points.misfit <= MAX_MISFIT) | is_changed
-            # The scan that ends a dropout is mapped at once.
-            is_changed |= guard.stop == BLIND
-            pose = jnp.where(is_changed, here, pose)
-        is_placed = jnp.isfinite(pose).all()
-        # The tracker predicts the obstacles at every control period, also between scans.
-        if own.belief.obstacles is not None:
-            later = own.belief.obstacles.after(self.period)
-            own = own._replace(belief=dataclasses.replace(own.belief, obstacles=later))
-        is_taken = is_placed & is_fit
+        if own.unfit is not None:
+            own = own._replace(unfit=self._judge(own, own.unfit, measured, sight))
+        is_taken = sight.is_placed
         if self.localisation is not None:
             is_taken = is_taken | (not self.localisation.localiser.is_mapping)
-        return own, Sight(pose, is_placed, is_fit, ~measured.is_blind & is_taken)
+        elif own.unfit is not None:
+            is_taken = is_taken & is_mapped_after(own.unfit)
+        # The tracker predicts the obstacles at every measurement, also between scans.
+        if own.belief.obstacles is not None:
+            later = own.belief.obstacles.after(measured.elapsed)
+            own = own._replace(belief=dataclasses.replace(own.belief, obstacles=later))
+        return own, sight._replace(is_taken=~measured.is_blind & is_taken)
+
+    def _judge(self, own: RobotState, unfit: Scalar, measured: Measurement, sight: Sight) -> Scalar:
+        """Return for how long scans have not fitted the map [s]; where the pose is not to be
+        trusted, they say nothing."""
+
+        def judge(before: Scalar) -> tuple[Scalar]:
+            if own.place is not None:
+                after = before
+            elif own.points is not None:
+                after = unfit_after(before, own.points.misfit, measured.since_scan)
+            else:
+                misfit = self._misfit(own.belief, measured, sight.pose)
+                after = unfit_after(before, misfit, measured.since_scan)
+            return (jnp.where(sight.is_placed, after, FITTING),)
+
+        return when_due(measured.is_scan_due, ~measured.is_blind, judge, (unfit,))[0]
+
+    def _misfit(self, belief: Belief, measured: Measurement, pose: Pose) -> Scalar:
+        """Return the share of the first scan that contradicts the map."""
+        return scan_misfit(belief, self.sensors[0], measured.scans[0], pose)
 
     def map_scans(
         self, own: RobotState, measured: Measurement, sight: Sight
     ) -> tuple[RobotState, Flag]:
         """Update pose and map by scans that are due; return whether they are in the map.
+
+        A robot that finds its pose lets a scan correct it first: what does not fit the map where
+        the odometry led may fit where the scan says that the robot is. A scan that does not fit
+        there either does not correct the pose of a robot that maps.
 
         Args:
             own: what the robot knows.
@@ -218,47 +241,66 @@ class Robot(NamedTuple):
             sight: where and whether the scans are taken.
         """
 
-        def sense(
-            belief: Belief, place: PoseKnowledge | None, _: Flag
-        ) -> tuple[Belief, PoseKnowledge | None, Flag]:
-            scans, is_mapped = measured.scans, jnp.array(True)
-            if place is None or self.localisation is None:
-                belief = self._observe(belief, measured, sight.pose)
+        def sense(before: RobotState, _: Flag) -> tuple[RobotState, Flag]:
+            own, is_looking = before, jnp.array(True)
+            if own.place is None or self.localisation is None:
+                belief = self._observe(own.belief, measured, sight.pose)
+                own, is_mapped = own._replace(belief=belief), is_looking
             else:
-                before, is_mapping = place.known, self.localisation.localiser.is_mapping
-                place = self.localisation.correct(place, scans, self.sensors)
-                now = place.known
-                if not is_mapping:
-                    is_elsewhere = ~before.is_known | is_jump(before.pose, now.pose)
-                    belief = self._reset(belief, is_elsewhere & now.is_known)
-                    is_mapped = sight.is_placed & sight.is_fit & now.is_known
-                # Another estimator got the scan only because it fits.
-                belief = (
-                    self._observe(belief, measured, now.pose)
-                    if is_mapping
-                    else jax.lax.cond(
-                        is_mapped,
-                        lambda same: self._observe(same, measured, now.pose),
-                        lambda same: same,
-                        belief,
-                    )
-                )
-            recognition, look = self.perception.recognition, measured.look
-            if look is not None and recognition is not None and belief.objects is not None:
-                known = recognition.update(belief.objects, *look, measured.time)
-                belief = dataclasses.replace(belief, objects=known)
-            return belief, place, is_mapped
+                own, is_mapped = self._locate(own, measured, sight)
+                is_looking = is_mapped | (not self.localisation.localiser.is_mapping)
+            recognition, objects = self.perception.recognition, own.belief.objects
+            look = measured.look
+            if look is not None and recognition is not None and objects is not None:
+                assert measured.time is not None
+                after = recognition.update(objects, *look, measured.time)
+                known = jax.tree.map(functools.partial(jnp.where, is_looking), after, objects)
+                own = own._replace(belief=dataclasses.replace(own.belief, objects=known))
+            return own, is_mapped
 
-        belief, place, is_mapped = when_due(
-            self.is_scan_due(measured.step),
-            sight.is_taken,
-            sense,
-            (own.belief, own.place, jnp.array(False)),
+        return when_due(measured.is_scan_due, sight.is_taken, sense, (own, jnp.array(False)))
+
+    def _locate(
+        self, own: RobotState, measured: Measurement, sight: Sight
+    ) -> tuple[RobotState, Flag]:
+        """Find the pose by scans, and map them there if they fit; return whether they do."""
+        place, localisation, scans = own.place, self.localisation, measured.scans
+        assert place is not None
+        assert localisation is not None
+        if measured.motions is None:
+            found = localisation.correct(place, scans, self.sensors)
+        else:
+            place, found = localisation.follow(place, measured.motions, scans, self.sensors)
+        before, now, is_mapping = place.known, found.known, localisation.localiser.is_mapping
+        is_placed = jnp.isfinite(now.pose).all()
+        if not is_mapping:
+            is_elsewhere = ~before.is_known | is_jump(before.pose, now.pose)
+            belief = self._reset(own.belief, is_elsewhere & now.is_known)
+            own = own._replace(belief=belief)
+            is_placed = sight.is_placed & now.is_known
+        if own.unfit is None:
+            is_fit = is_placed
+        else:
+            misfit = self._misfit(own.belief, measured, now.pose)
+            after = unfit_after(own.unfit, misfit, measured.since_scan)
+            own = own._replace(unfit=jnp.where(is_placed, after, FITTING))
+            if own.points is not None:
+                points = own.points._replace(misfit=misfit)
+                own = own._replace(points=points)
+            is_fit = is_placed & is_mapped_after(after)
+            if is_mapping:
+                found = jax.tree.map(functools.partial(jnp.where, is_fit), found, place)
+        belief = jax.lax.cond(
+            is_fit,
+            lambda same: self._observe(same, measured, now.pose),
+            lambda same: same,
+            own.belief,
         )
-        return own._replace(belief=belief, place=place), is_mapped
+        return own._replace(place=found, belief=belief), is_fit
 
     def _observe(self, belief: Belief, measured: Measurement, pose: Pose) -> Belief:
-        return self.perception.observe(belief, measured.scans, pose, self.since_scan, measured.time)
+        since, time = measured.since_scan, measured.time
+        return self.perception.observe(belief, measured.scans, pose, since, time)
 
     def _reset(self, belief: Belief, is_found: Flag) -> Belief:
         """Return the belief with the prior map if the robot has just found itself elsewhere: what
@@ -286,7 +328,7 @@ class Robot(NamedTuple):
         def update(before: Obstacles) -> tuple[Obstacles]:
             return (tell(before, told, place),)
 
-        is_due = self.is_scan_due(measured.step)
+        is_due = measured.is_scan_due
         (after,) = when_due(is_due, sight.is_taken, update, (known,))
         return own._replace(belief=dataclasses.replace(own.belief, obstacles=after))
 
@@ -296,37 +338,57 @@ class Robot(NamedTuple):
         Args:
             own: what the robot knows.
             measured: what it measures.
-            sight: where the robot is.
+            sight: where the robot takes itself to be.
         """
         place = own.place
-        here = sight.pose if place is None else place.known.pose
 
         def derive(current: Belief) -> tuple[Belief]:
             if place is not None and self.localisation is not None:
                 current = self.localisation.inform(place, current)
-            return (self.perception.update_fields(current, here, self.since_fields),)
+            return (self.perception.update_fields(current, sight.pose, measured.since_fields),)
 
-        (belief,) = when_due(
-            self.are_fields_due(measured.step), sight.is_placed, derive, (own.belief,)
-        )
+        (belief,) = when_due(measured.are_fields_due, sight.is_placed, derive, (own.belief,))
         return own._replace(belief=belief)
 
-    def learn(self, own: RobotState, position: Float[Array, "2"], step: Count) -> RobotState:
+    def learn(
+        self, own: RobotState, measured: Measurement, position: Float[Array, "2"]
+    ) -> RobotState:
         """Update what is left to learn.
 
         Args:
             own: what the robot knows.
+            measured: what it measures.
             position: where it takes itself to be (x, y) [m].
-            step: number of steps before.
         """
-        known = own.knowledge.after(own.belief, position, self.period)
+        known = own.knowledge.after(own.belief, position, measured.elapsed)
         if self.counts_walls:
             known = jax.lax.cond(
-                self.is_scan_due(step),
+                measured.is_scan_due,
                 lambda: known.count_walls(own.belief.grid),
                 lambda: known,
             )
         return own._replace(knowledge=known)
+
+
+def unfit_after(unfit: Scalar, misfit: Scalar, elapsed: Scalar) -> Scalar:
+    """Return for how long scans have not fitted the map [s]; negative if the newest one does.
+
+    Args:
+        unfit: the same before that scan [s].
+        misfit: share of its returns that contradict the map.
+        elapsed: time since the scan before it [s].
+    """
+    longer = jnp.where(unfit < 0.0, 0.0, unfit + elapsed)
+    return jnp.where(misfit > MAX_MISFIT, longer, FITTING)
+
+
+def is_mapped_after(unfit: Scalar) -> Flag:
+    """Check whether a scan is mapped, after which `unfit_after` is so long.
+
+    A scan that does not fit is not mapped. If only scans speak against a pose for a while, it is
+    the world that has changed.
+    """
+    return (unfit < 0.0) | (unfit > RETRY_SECONDS)
 
 
 def tell(known: Obstacles, told: Told, place: Pose | None = None) -> Obstacles:

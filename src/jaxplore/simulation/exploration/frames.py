@@ -5,20 +5,23 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from jaxplore._types import StateVector
+from jaxplore.belief.belief import Belief
 from jaxplore.control.base import SampledPlan
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
-from jaxplore.simulation.exploration.state import ExplorationState
 
 
 def frame_arrays(
     robot: Dynamics,
     sensor: Sensor,
-    state: ExplorationState,
+    state: StateVector,
+    belief: Belief,
+    is_seen: Bool[Array, " M"],
     scan: Scan,
     movers: Float[Array, "M 3"] | None,
     plan: SampledPlan | None,
@@ -28,27 +31,29 @@ def frame_arrays(
     Args:
         robot: model of the robot.
         sensor: sensor of the scan.
-        state: the task's state.
+        state: (nx,) state of the robot.
+        belief: what it knows.
+        is_seen: (M,) whether each target has been found.
         scan: scan from the robot's true pose.
         movers: (x, y, radius) of each moving obstacle [m]; None without any.
         plan: sampled plan of the controller; None to show none.
     """
-    pose = robot.pose(state.robot)
+    pose = robot.pose(state)
     angles = pose[2] + jnp.asarray(sensor.beam_angles)
     directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
     nowhere = jnp.zeros((0, 2))
-    objects, classes = state.belief.objects, jnp.zeros((0, 0))
+    objects, classes = belief.objects, jnp.zeros((0, 0))
     if objects is not None:
         classes = jnp.where(objects.is_known[:, None], objects.probability, jnp.nan)
-    tracks, followed = jnp.zeros((0, 2, 2)), state.belief.tracks
+    tracks, followed = jnp.zeros((0, 2, 2)), belief.tracks
     if followed is not None:
         now, velocity = followed.mean[:, :2], followed.mean[:, 2:]
         ways = jnp.stack([now, now + velocity], axis=1)
         tracks = jnp.where(followed.is_confirmed[:, None, None], ways, jnp.nan)
     arrays = {
-        "state": state.robot,
-        "probability": jnp.round(255.0 * state.belief.grid.probability).astype(jnp.uint8),
-        "information": state.belief.information.total,
+        "state": state,
+        "probability": jnp.round(255.0 * belief.grid.probability).astype(jnp.uint8),
+        "information": belief.information.total,
         "scan": pose[:2] + scan.ranges[:, None] * directions,
         "samples": jnp.zeros((0, 1, 2)),
         "weights": jnp.zeros(0),
@@ -56,7 +61,7 @@ def frame_arrays(
         "heading": pose[2],
         "reference": nowhere,
         "movers": nowhere if movers is None else movers[:, :2],
-        "is_found": state.is_seen,
+        "is_found": is_seen,
         "classes": classes,
         "tracks": tracks,
         "terms": {},

@@ -13,6 +13,7 @@ from jaxplore.robot.clock import when_due
 from jaxplore.robot.robot import Look, Measurement, Robot, Told
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.mount import ScanMotion
+from jaxplore.simulation.exploration.rates import Rates
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_objects import TrueObjects
 from jaxplore.simulation.exploration.true_world import TrueWorld
@@ -23,13 +24,15 @@ class Instruments(NamedTuple):
     """Turns the truth into what a robot is given of it.
 
     Args:
-        onboard: the robot, with its sensors and the rate of its scans.
+        onboard: the robot, with its sensors.
+        rates: when it scans and derives its fields.
         objects: objects that it recognises; None without any.
         tracking_noise: standard deviations of the positions [m] and velocities [m/s] of moving
             obstacles of which it is told.
     """
 
     onboard: Robot
+    rates: Rates
     objects: TrueObjects | None
     tracking_noise: Float[Array, "2"]
 
@@ -54,7 +57,7 @@ class Instruments(NamedTuple):
             key: random key of the step's measurements.
             is_told: whether a robot that finds no moving obstacles itself is told of them; static.
         """
-        robot, objects = self.onboard, self.objects
+        robot, rates, objects = self.onboard, self.rates, self.objects
         pose, sensors, recognition = (
             robot.model.pose(state.robot),
             robot.sensors,
@@ -71,12 +74,13 @@ class Instruments(NamedTuple):
                 look = objects.look(recognition, truth, sensors[0], pose, key)
             return ranges, is_return, told, look
 
+        is_due = rates.is_scan_due(moment.step)
         # What is not due is not read.
         blank = jax.tree.map(
             lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(take)
         )
         ranges, is_return, told, look = when_due(
-            robot.is_scan_due(moment.step),
+            is_due,
             ~moment.is_blind,
             lambda *_: take(),
             (state.ranges, *blank[1:]),
@@ -84,8 +88,22 @@ class Instruments(NamedTuple):
         ends = list(itertools.accumulate(sensor.num_beams for sensor in sensors))
         split = (jnp.split(each, ends[:-1]) for each in (ranges, is_return))
         scans = tuple(itertools.starmap(Scan, zip(*split, strict=True)))
-        args = (moment.step, moment.time, moment.observed, moment.is_blind, scans)
-        return Measurement(*args, moment.measured, moment.guard, told, look), ranges
+        seen = moment.observed if moment.measured is None else moment.measured
+        measured = Measurement(
+            robot.model.pose(seen),
+            moment.is_blind,
+            scans,
+            is_due,
+            rates.since_scan,
+            rates.are_fields_due(moment.step),
+            rates.since_fields,
+            rates.period,
+            moment.time,
+            moment.guard,
+            told,
+            look,
+        )
+        return measured, ranges
 
     def scan_motion(self, state: ExplorationState, moment: Moment) -> ScanMotion | None:
         """Return the motion of the robot during a scan; None if no lidar turns.
@@ -101,4 +119,4 @@ class Instruments(NamedTuple):
         seen = moment.observed if moment.measured is None else moment.measured
         known = model.with_pose(seen, jnp.zeros(3))
         true, known = (model.twist(each, state.control) for each in (state.robot, known))
-        return ScanMotion(true, known, self.onboard.since_scan)
+        return ScanMotion(true, known, self.rates.since_scan)

@@ -209,6 +209,9 @@ class Judge(NamedTuple):
                 a target that it sees is found otherwise.
         """
 
+        assert measured.time is not None
+        time = measured.time
+
         def add(former: Judged) -> tuple[Judged]:
             sums, _, is_seen, track = former
             if place is None or own.place is None or track is None:
@@ -222,7 +225,7 @@ class Judge(NamedTuple):
                 is_seen = jnp.isfinite(found)
             elif is_seen.shape[0] > 0:
                 is_seen = is_seen | find()
-            progress = map_progress(sums, own.belief, self.reachable, measured.time)
+            progress = map_progress(sums, own.belief, self.reachable, time)
             return (Judged(sums, progress, is_seen, track),)
 
         return when_due(is_due, sight.is_taken, add, (judged,))[0]

@@ -80,6 +80,7 @@ from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
 from jaxplore.simulation.exploration.planted import PlantedAnomalies
 from jaxplore.simulation.exploration.progress import MapSums
+from jaxplore.simulation.exploration.rates import Rates
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
 from jaxplore.simulation.exploration.recording import make_recording
 from jaxplore.simulation.exploration.state import ExplorationState, Sensed, initial_state
@@ -481,10 +482,11 @@ class ExplorationScenario(Scenario):
         gain, onboard = state.gain, self.onboard
         sensed = self.sense(state, self.true_world(state, moment), moment, key)
         own = onboard.track_told(sensed.state.own, sensed.measured, sensed.sight)
-        own = onboard.update_fields(own, sensed.measured, sensed.sight)
+        sight = sensed.sight.correct(own.place)
+        own = onboard.update_fields(own, sensed.measured, sight)
         state = sensed.state._replace(own=own)
         place = self.robot.position(self.measured(state))
-        state = state._replace(own=onboard.learn(own, place, moment.step))
+        state = state._replace(own=onboard.learn(own, sensed.measured, place))
         if self.counts_walls:
             walls = state.own.knowledge.walls
             state = state._replace(gain=gain.after(walls, self.control_period))
@@ -510,7 +512,7 @@ class ExplorationScenario(Scenario):
         """
         onboard, judge = self.onboard, Judge(self.perception, self.map_arrays.reachable)
         measured, ranges = self.instruments.measure(state, truth, moment, key, is_told=is_told)
-        is_due, pose = onboard.is_scan_due(moment.step), self.robot.pose(state.robot)
+        is_due, pose = measured.is_scan_due, self.robot.pose(state.robot)
         own, sight = onboard.examine(state.own, measured)
         before, place = MapSums.none(), own.place
         if place is None:
@@ -532,7 +534,12 @@ class ExplorationScenario(Scenario):
     @property
     def instruments(self) -> Instruments:
         """What measures in the true world."""
-        return Instruments(self.onboard, self.objects, self.tracking_noise)
+        return Instruments(self.onboard, self.rates, self.objects, self.tracking_noise)
+
+    @property
+    def rates(self) -> Rates:
+        """When the robot scans and derives its fields."""
+        return Rates(self.control_period, self.steps_per_scan, self.steps_per_field)
 
     @property
     def onboard(self) -> Robot:
@@ -541,9 +548,6 @@ class ExplorationScenario(Scenario):
             self.robot,
             self.sensors,
             self.perception,
-            self.control_period,
-            self.steps_per_scan,
-            self.steps_per_field,
             self.localisation,
             None if self.localisation is None else self.map_arrays.prior,
             self.counts_walls,
@@ -656,7 +660,8 @@ class ExplorationScenario(Scenario):
         motion = self.instruments.scan_motion(state, moment)
         scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key, motion)
         plan = None if inspect is None else inspect(moment.observed, state.belief)
-        return frame_arrays(self.robot, self.sensors[0], state, scan, truth.discs, plan)
+        seen = (self.robot, self.sensors[0], state.robot, state.belief, state.is_seen)
+        return frame_arrays(*seen, scan, truth.discs, plan)
 
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""

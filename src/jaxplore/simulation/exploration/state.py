@@ -17,7 +17,7 @@ from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.robot.knowledge import Knowledge
 from jaxplore.robot.localisation import PoseKnowledge
-from jaxplore.robot.robot import Measurement, RobotState, Sight
+from jaxplore.robot.robot import FITTING, Measurement, RobotState, Sight
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.judge import Judged, TrueTrack
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
@@ -141,12 +141,13 @@ def initial_state(
         belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
     track = None if place is None else TrueTrack.at_start(pose, place, belief.grid)
     judged = Judged.at_start(belief, reachable, num_targets, track)
-    points = None
+    points, unfit = None, None
     if is_guarded:
+        unfit = jnp.asarray(FITTING)
         points = ScanPoints.blank(number, 0.0, can_move=belief.tracks is not None)
     return ExplorationState(
         robot=start,
-        own=RobotState(belief, Knowledge.nothing(), points, place),
+        own=RobotState(belief, Knowledge.nothing(), points, place, unfit),
         judged=judged,
         gain=Gain(judged.progress.coverage, jnp.zeros(())),
         finished=jnp.zeros((), jnp.int32),

@@ -73,10 +73,10 @@ class TeamSenses(NamedTuple):
             own = moment._replace(observed=seen)
             truth = _among(one.true_world(each, own), each.moving_obstacles, beside)
             scanned.append(one.sense(each, truth, own, key, is_told=False))
-        first = scenarios[0].onboard
+        rates = scenarios[0].rates
         states = [each.state for each in scanned]
         known = jax.lax.cond(
-            first.is_scan_due(moment.step),
+            rates.is_scan_due(moment.step),
             lambda *given: self._tracked(moment, *given),
             lambda obstacles, *_: obstacles,
             [each.belief.obstacles for each in states],
@@ -86,7 +86,7 @@ class TeamSenses(NamedTuple):
             [each.sight.is_taken for each in scanned],
             list(keys),
         )
-        is_due = first.are_fields_due(moment.step)
+        is_due = rates.are_fields_due(moment.step)
         beliefs: list[Belief] = []
         for one, sensed, obstacles in zip(scenarios, scanned, known, strict=True):
             belief = dataclasses.replace(sensed.state.belief, obstacles=obstacles)
@@ -143,7 +143,7 @@ class TeamSenses(NamedTuple):
             belief = dataclasses.replace(belief, grid=one.map_arrays.prior)
             after: Belief = jax.lax.cond(
                 placed,
-                lambda same: one.perception.guided(same, pose, one.onboard.since_fields),
+                lambda same: one.perception.guided(same, pose, one.rates.since_fields),
                 lambda same: same,
                 belief,
             )
