@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from jaxplore._checks import warn_user
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
 from jaxplore.build.fleet import cost_of_others, has_others
@@ -108,6 +109,11 @@ def _quadrotor_controller(
     settings: Settings, robot: Dynamics, world: RunWorld, perception: Perception
 ) -> Controller:
     """Build informative MPPI or one of its baselines."""
+    if expects_people(settings, world):
+        warn_user(
+            f"architecture {settings.architecture} knows nothing of people, and brakes only for "
+            "those that its sensor shows; explorer and portfolio keep away from them"
+        )
     given = settings.informative
     flight = Flight(
         **arguments(given, Flight),
