@@ -13,11 +13,7 @@ class Alike[T](eqx.Module):
     """N things, of which some are the same object: each object is stored once.
 
     So N equal robots need no more memory than one, and a compiled program has one part for all of
-    them (`each`).
-
-    Args:
-        kinds: the distinct things.
-        kind_of: number of the kind of each of the N things; static.
+    them (`each`). `kinds` are the distinct things, and thing i is `kinds[kind_of[i]]`.
     """
 
     kinds: tuple[T, ...]
@@ -55,13 +51,10 @@ class Alike[T](eqx.Module):
 
         On a CPU the body is a loop over the equal things (`jax.lax.map`), so that its branches stay
         branches. Elsewhere they are computed at once (`jax.vmap`). The rows of equal things are
-        copied into one array and from it. On a CPU that costs more than it saves if they are large:
-        then each thing has a body of its own there.
+        copied into one array and from it. On a CPU that costs more than it saves if they have large
+        arrays, such as maps (`is_large`): then each thing has a body of its own there.
 
-        Args:
-            function: function of a thing and a row of each sequence; traced.
-            rows: sequences of N pytrees. Those of equal things have the same structure and shapes.
-            is_large: whether rows have large arrays, such as maps; static.
+        `rows` are sequences of N pytrees. Those of equal things have the same structure and shapes.
         """
         results: list[Any] = [None] * len(self.kind_of)
         for kind, thing in enumerate(self.kinds):

@@ -29,13 +29,10 @@ PATH_STEP = 0.002
 
 
 def warn_above(name: str, value: ArrayLike, most: float, meaning: str) -> None:
-    """Warn if a number is so large that its unit is likely to be another one.
+    """Warn if a number is so large that its unit is likely to be another one; a traced one passes.
 
-    Args:
-        name: name of the argument.
-        value: its value, a number; a traced value passes.
-        most: greatest number that is usual, of either sign.
-        meaning: unit of the number, and what else may have been meant.
+    `most` is the greatest usual number, of either sign. `meaning` is the unit of the number, and
+    what else may have been meant.
     """
     if is_traced(value) or not abs(float(np.asarray(value))) > most:
         return
@@ -150,14 +147,9 @@ def scalar(
 
 
 def floats(name: str, value: object, accepted: str) -> np.ndarray:
-    """Return `value` as a float32 array of any shape, infinite where a number is too large.
+    """Return a number, a list or an array as a float32 array, infinite where a number is too large.
 
-    It may share memory with `value`.
-
-    Args:
-        name: name of the argument.
-        value: a number, a list or an array; not traced.
-        accepted: what is accepted, for the message.
+    `value` is not traced, and the array may share its memory. `accepted` is for the message.
     """
     try:
         given = np.asarray(value)
@@ -190,15 +182,13 @@ def vector(name: str, value: object, size: int, *, at_least: float | None = None
 
 
 def near(name: str, value: Any, step: float) -> None:
-    """Check that single precision tells coordinates apart; traced ones are not checked.
+    """Check that single precision tells coordinates apart [m].
 
-    Args:
-        name: name of the argument.
-        value: coordinates of any shape [m]; those that are not finite are not checked.
-        step: greatest distance between neighbouring numbers in single precision [m].
+    Traced coordinates and those that are not finite are not checked.
 
     Raises:
-        ValueError: a coordinate so far from 0 that they are farther apart.
+        ValueError: a coordinate so far from 0 that neighbouring numbers in single precision are
+            more than `step` [m] apart.
     """
     if isinstance(value, jax.core.Tracer):
         return
@@ -280,15 +270,9 @@ def shaped(
 ) -> Any:
     """Return `value`, an array, a number or lists of numbers, if its shape is accepted.
 
-    Only the shape is checked, so that this costs nothing in a compiled program. An array and a
-    number are returned as they are, lists as an array.
-
-    Args:
-        name: name of the argument.
-        value: its value; it may be traced.
-        shapes: accepted shapes; a letter stands for any size.
-        accepted: what is accepted, for the message; the shapes when absent.
-        dtype: type of the array that is made of lists.
+    Only the shape is checked, also of a traced value, so that this costs nothing in a compiled
+    program. A letter in a shape stands for any size. An array and a number are returned as they
+    are, lists as an array of type `dtype`. The message names `accepted`, or the shapes without it.
     """
     found = _static_shape(value)
     for shape in shapes:

@@ -15,13 +15,9 @@ def covariances(
 ) -> Float[Array, "N 2 2"]:
     """Return the covariance of each of N positions, (N, 2, 2) [m^2].
 
-    Exactly one of `std` and `covariance` must be given.
-
-    Args:
-        std: standard deviation along both axes, (N,) or one number [m].
-        covariance: covariance matrices (N, 2, 2), or one (2, 2) for all positions [m^2].
-        number: number of positions, N.
-        may_be_zero: whether a position may be known exactly.
+    Exactly one of `std` and `covariance` must be given: a standard deviation along both axes, (N,)
+    or one number [m], or matrices (N, 2, 2), or one (2, 2) for all positions [m^2]. With
+    `may_be_zero` a position may be known exactly.
     """
     if (std is None) == (covariance is None):
         raise ValueError(f"std is {std!r} beside a covariance; accepted: one of them")

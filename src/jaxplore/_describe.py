@@ -19,9 +19,7 @@ def describe(value: Any) -> str:
     """Return a short text for a value: an object with its fields, and arrays with their values.
 
     Fields that are None are left out. An array with many elements is its type and its shape.
-
-    Args:
-        value: an object, an array, a tuple, or anything else with a `repr`.
+    Anything else is its `repr`.
     """
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return _array(value)
@@ -36,12 +34,7 @@ def describe(value: Any) -> str:
 
 
 def describe_fields(owner: Any, *names: str) -> str:
-    """Return the name of an object's class with some of its fields.
-
-    Args:
-        owner: an object, such as an equinox module.
-        names: names of the fields or properties; all fields when absent.
-    """
+    """Return the name of an object's class with these fields or properties, or with all fields."""
     shown = names or [field.name for field in dataclasses.fields(owner)]
     values = [(name, getattr(owner, name, None)) for name in shown]
     texts = [f"{name}={describe(value)}" for name, value in values if value is not None]

@@ -80,13 +80,9 @@ def open_regular(path: Path) -> BinaryIO | None:
 
 
 def read_bytes(path: Path, what: str, limit: int, subject: str | None = None) -> bytes:
-    """Read a regular file of limited size.
+    """Read a regular file of at most `limit` bytes.
 
-    Args:
-        path: path of the file.
-        what: expected content, for messages.
-        limit: largest file that is read [bytes].
-        subject: what messages call the file; its path when absent.
+    Messages call its content `what`, and the file `subject`, or by its path without one.
 
     Raises:
         ValueError: a file that is missing, no regular file, cannot be read or is too large.
@@ -104,13 +100,7 @@ def read_bytes(path: Path, what: str, limit: int, subject: str | None = None) ->
 
 
 def open_limited(path: Path, what: str, limit: int, subject: str | None = None) -> BinaryIO:
-    """Open a regular file of limited size for reading.
-
-    Args:
-        path: path of the file.
-        what: expected content, for messages.
-        limit: largest file that is opened [bytes].
-        subject: what messages call the file; its path when absent.
+    """Open a regular file of limited size for reading; the arguments are those of `read_bytes`.
 
     Raises:
         ValueError: a file that is missing, no regular file, cannot be opened or is too large.
@@ -129,12 +119,7 @@ def open_limited(path: Path, what: str, limit: int, subject: str | None = None) 
 
 
 def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[object, object]:
-    """Read a YAML file that holds a mapping.
-
-    Args:
-        path: path of the file.
-        of: expected content, for messages.
-        limit: largest file that is read [bytes].
+    """Read a YAML file of at most `limit` bytes that holds a mapping; `of` names it in messages.
 
     Raises:
         ValueError: a file that is missing, too large, too intricate or no YAML mapping.
@@ -165,12 +150,9 @@ def yaml_beside(path: Path) -> Path | None:
 def parse_yaml(text: bytes | str, limit: int = YAML_LIMIT) -> Any:
     """Return what a YAML text says: mappings, lists, numbers and texts.
 
-    Args:
-        text: the text.
-        limit: longest text that is read [bytes or characters].
-
     Raises:
-        ValueError: a text that is too long, no YAML, or too intricate; one line without the text.
+        ValueError: a text of more than `limit` bytes or characters, no YAML, or too intricate; the
+            message is one line without the text.
     """
     _check_length(text, limit)
     readable = _readable_text(text)
@@ -205,12 +187,9 @@ def _readable_text(text: bytes | str) -> bytes | str:
 def parse_json(text: bytes | str, limit: int = JSON_LIMIT) -> Any:
     """Return what a JSON text says.
 
-    Args:
-        text: the text.
-        limit: longest text that is read [bytes or characters].
-
     Raises:
-        ValueError: a text that is too long, no JSON, or nested too deep; one line without the text.
+        ValueError: a text of more than `limit` bytes or characters, no JSON, or nested too deep;
+            the message is one line without the text.
     """
     _check_length(text, limit)
     try:

@@ -40,12 +40,7 @@ def instance(
 ) -> None:
     """Raise a `ValueError` unless `value` is an instance of one of `kinds`.
 
-    Args:
-        name: name of the argument.
-        value: its value.
-        kinds: accepted classes.
-        hint: what else the message says of an accepted value.
-        may_be_none: whether None is accepted.
+    None passes if `may_be_none`. `hint` is what else the message says of an accepted value.
     """
     if isinstance(value, kinds) or (may_be_none and value is None):
         return

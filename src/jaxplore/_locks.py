@@ -44,11 +44,7 @@ _swept: set[Path] = set()
 
 
 class InUseError(Exception):
-    """A lock that another process, or another thread, holds.
-
-    Args:
-        process: number of that process; None if it is not known.
-    """
+    """Another thread or process holds a lock; `process` is its number, None if it is not known."""
 
     def __init__(self, process: int | None) -> None:
         super().__init__(process)
@@ -60,13 +56,9 @@ class InUseError(Exception):
 
 @contextmanager
 def lock(path: Path, note: bytes = b"") -> Iterator[bool]:
-    """Hold a lock. Its file exists only as long as it is held.
+    """Hold a lock. Its file, in an existing folder, exists only as long as the lock is held.
 
-    Yields whether others are kept out, which not every disk can do.
-
-    Args:
-        path: file of the lock, in an existing folder.
-        note: text that is kept in it.
+    Yields whether others are kept out, which not every disk can do. `note` is kept in the file.
 
     Raises:
         InUseError: it is held.
@@ -102,13 +94,10 @@ def hidden_folder(target: Path) -> Iterator[Path]:
     """Reserve the path of a folder, and yield the hidden one that is filled and then moved there.
 
     The hidden folder does not exist yet. It is beside the target, so on the same file system, where
-    a rename is one operation. It is removed at the end if it is still there.
-
-    Args:
-        target: path of the folder, in an existing one.
+    a rename is one operation. It is removed at the end if it is still there. The parent must exist.
 
     Raises:
-        InUseError: another process has reserved it.
+        InUseError: another process has reserved the path.
         OSError: the parent cannot be written to.
     """
     sweep(target.parent)
@@ -134,10 +123,7 @@ def reservation(target: Path) -> Path:
 def put_folder(hidden: Path, target: Path) -> None:
     """Move a complete hidden folder to its path, and remove the former folder there.
 
-    The former folder is restored on failure.
-
-    Raises:
-        OSError: it cannot be moved.
+    On failure the former folder is restored, and an `OSError` raised.
     """
     with _signals.held():
         if not os.path.lexists(target):
@@ -158,10 +144,7 @@ def put_folder(hidden: Path, target: Path) -> None:
 def hidden_file(target: Path) -> Iterator[Path]:
     """Yield an empty hidden file beside a target; it is removed at the end unless it was moved.
 
-    It must be written in place: a new file of that name would not be locked.
-
-    Args:
-        target: path of the later file, in an existing folder.
+    The folder must exist. Write the file in place: a new file of that name would not be locked.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -193,8 +176,7 @@ def hidden_file(target: Path) -> Iterator[Path]:
 def hidden_container(target: Path) -> Iterator[Path]:
     """Yield a hidden folder beside a target, with a lock inside; it is removed at the end.
 
-    Args:
-        target: path of what is made in it, and then moved there.
+    What is made in it is moved to the target before.
 
     Raises:
         OSError: the parent cannot be written to.

@@ -5,11 +5,7 @@ from typing import Any
 
 
 def import_optional(name: str, extra: str) -> Any:
-    """Import an optional package or one of its modules.
-
-    Args:
-        name: name of the module.
-        extra: name of jaxplore's extra that installs the package.
+    """Import an optional package or one of its modules; jaxplore's extra `extra` installs it.
 
     Raises:
         ValueError: the package is not installed; the message names the command to install it.

@@ -154,12 +154,10 @@ def _nothing_lost() -> Iterator[None]:
 
 @contextmanager
 def _handled(handlers: Mapping[int, Handler], *, are_ignored_too: bool = False) -> Iterator[None]:
-    """Handle signals in the body.
+    """Handle signals by number in the body; outside of the main thread, leave them as they are.
 
-    Args:
-        handlers: handlers by number.
-        are_ignored_too: whether to handle signals that the process was started to ignore, as SIGHUP
-            under `nohup`.
+    With `are_ignored_too`, handle also signals that the process was started to ignore, as SIGHUP
+    under `nohup`.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

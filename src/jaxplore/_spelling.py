@@ -7,9 +7,7 @@ from typing import Any
 def spelled(value: Any, words: Iterable[str]) -> Any:
     """Return the word that differs from `value` in hyphens and underscores at most; else `value`.
 
-    Args:
-        value: what was given; anything that is no string passes.
-        words: the known words.
+    What is no string passes.
     """
     if not isinstance(value, str):
         return value

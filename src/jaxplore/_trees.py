@@ -20,9 +20,6 @@ class HostOnly[T]:
 
     All are equal, so that as a static field one does not compile a program again. A function that
     is compiled must neither read nor return it: it would have that of another call.
-
-    Args:
-        value: the value.
     """
 
     __slots__ = ("value",)
@@ -45,11 +42,6 @@ def with_field[T: eqx.Module](module: T, name: str, value: Any) -> T:
 
     Modules are frozen. `eqx.tree_at` sets leaves, not static fields, and no field that a
     constructor has left at its default.
-
-    Args:
-        module: the module.
-        name: name of the field.
-        value: the other value.
     """
     same = copy.copy(module)
     object.__setattr__(same, name, value)

@@ -20,14 +20,10 @@ def on_device(values: np.ndarray) -> Array:
 
 
 def computed(function: Callable[..., Any], *values: Any) -> Array:
-    """Return the array `function(xp, *values)`, with NumPy as `xp` if no value is traced.
+    """Return the array `function(xp, *values)`: `xp` is `numpy`, or `jax.numpy` for traced values.
 
     Outside of `jax.jit`, JAX compiles a program for each operation and shape. Constructors compute
     a few numbers once, for which NumPy gives the same float32 values at once.
-
-    Args:
-        function: function of an array module, `jax.numpy` or `numpy`, and of the values.
-        values: arrays.
     """
     if any(isinstance(value, jax.core.Tracer) for value in values):
         traced: Array = function(jnp, *values)

@@ -99,10 +99,7 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
 
 
 def split_index(name: str) -> tuple[str, int | None]:
-    """Split `path[i]` into the path and the index, None without one.
-
-    Args:
-        name: path of a parameter, or of an element of an array.
+    """Split `path[i]` into the path of a parameter and the index of an element, None without one.
 
     Raises:
         ValueError: brackets without a whole number.
@@ -127,13 +124,7 @@ def _parameters_of(controller: Any) -> dict[str, _Place]:
 
 
 def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int = 3) -> str:
-    """Return the known names most similar to a name, separated by commas, for a message.
-
-    Args:
-        name: name that is not known.
-        known: known names.
-        number: greatest number of names.
-    """
+    """Return at most `number` known names most similar to a name, separated by commas."""
     # A right last name with a wrong path is the most frequent mistake: list those first.
     last = name.rpartition(".")[2]
     exact = [each for each in known if each.rpartition(".")[2] == last]

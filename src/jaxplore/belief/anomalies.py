@@ -245,13 +245,8 @@ class AnomalyTest(eqx.Module):
     ) -> Anomalies:
         """Return the state with the suspicions and reports that follow from its evidence.
 
-        Args:
-            before: state before the scan.
-            state: state with the evidence of the scan.
-            grid: a grid with the frame of the map.
-            is_seen: (H, W) cells that the scan observed.
-            pose: pose (x, y, yaw) of the robot [m, m, rad].
-            time: time since the start [s].
+        `state` has the evidence of the scan, and `before` is the state before it. `is_seen` are the
+        cells that the scan observed. `grid` has the frame of the map.
         """
         centres, reports = cell_centres(grid), state.reports
         away = reports.away(centres)

@@ -52,25 +52,13 @@ class Reports(NamedTuple):
         return (self.kind > 0) & jnp.isinf(self.reported)
 
     def away(self, centres: Float[Array, "H W 2"]) -> Float[Array, "K H W"]:
-        """Return the square of the distance between each place and each cell [m^2].
-
-        Args:
-            centres: (H, W, 2) centres of the cells [m].
-        """
+        """Return the square of the distance from each place to the centre of each cell [m^2]."""
         return jax.vmap(square_distance, (None, 0))(centres, self.place)
 
     def opened(
         self, is_new: Flag, place: Position, kind: Array, time: Scalar, pose: Pose
     ) -> "Reports":
-        """Return the list with one more suspicion; unchanged if it is full.
-
-        Args:
-            is_new: whether there is a suspicion.
-            place: its position [m].
-            kind: its kind.
-            time: time since the start [s].
-            pose: pose of the robot [m, m, rad].
-        """
+        """Return the list with one more suspicion if `is_new`; a full list stays unchanged."""
         row = jnp.argmin(self.kind)
         is_put = is_new & (self.kind[row] == 0) & (jnp.arange(MAX_REPORTS) == row)
         return self._replace(
@@ -86,10 +74,7 @@ class Reports(NamedTuple):
     ) -> "Reports":
         """Return the list after a scan of the second look.
 
-        Args:
-            is_sighted: (K,) whether the scan observed the place.
-            is_confirmed: (K,) whether the anomaly is there.
-            time: time since the start [s].
+        `is_sighted` are the places that the scan observed, `is_confirmed` those with an anomaly.
         """
         return self._replace(
             reported=jnp.where(is_confirmed, time, self.reported),
@@ -136,15 +121,10 @@ class Channel(NamedTuple):
     def peak(
         self, threshold: Scalar, is_closed: GridMask, centres: Float[Array, "H W 2"], radius: Scalar
     ) -> tuple[Flag, Position, Array]:
-        """Return whether a cell has crossed the threshold, and the place and kind of the alarm.
+        """Return whether a cell has crossed the threshold [nat], and the alarm's place and kind.
 
-        The place is the mean of the cells near the greatest evidence that have crossed it.
-
-        Args:
-            threshold: the threshold [nat].
-            is_closed: (H, W) cells that raise no alarm.
-            centres: (H, W, 2) centres of the cells [m].
-            radius: distance within which cells belong to one alarm [m].
+        The place is the mean of the cells that have crossed it, with the same kind, within `radius`
+        [m] of the greatest evidence. The cells `is_closed` raise no alarm.
         """
         crossed = (self.evidence >= threshold) & ~is_closed
         best = jnp.argmax(jnp.where(crossed, self.evidence, -jnp.inf))

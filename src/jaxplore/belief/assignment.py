@@ -15,18 +15,12 @@ FORBIDDEN = 1e4
 def assign(cost: Float[Array, "N M"], is_allowed: Bool[Array, "N M"]) -> Int[Array, " N"]:
     """Assign as many rows as possible to columns of their own, at the least sum of costs.
 
-    Pairs that are not allowed get a cost of `FORBIDDEN` and are taken back in the end. So more
-    pairs are always better than a lower sum.
+    Return the column of each row, or `UNASSIGNED`. Pairs that are not allowed get a cost of
+    `FORBIDDEN` and are taken back in the end. So more pairs are always better than a lower sum, if
+    all costs are well below `FORBIDDEN`.
 
     Source: the shortest augmenting paths of Jonker and Volgenant, "A shortest augmenting path
     algorithm for dense and sparse linear assignment problems", Computing 38, 1987; O(n^3).
-
-    Args:
-        cost: (N, M) cost of each pair, well below `FORBIDDEN`; N and M are static.
-        is_allowed: (N, M) pairs that may be.
-
-    Returns:
-        The column of each row (N,), or `UNASSIGNED`.
     """
     rows, columns = cost.shape
     size = max(rows, columns)

@@ -139,14 +139,10 @@ class MissingPartError(ValueError):
 
 
 def part(belief: Any, name: str) -> Any:
-    """Return a part of a belief, or raise an error that names its source.
-
-    Args:
-        belief: a `Belief`, any object with such an attribute, or None.
-        name: name of the part.
+    """Return a part of a `Belief`, or of any object with such an attribute.
 
     Raises:
-        MissingPartError: the part is absent, or there is no belief.
+        MissingPartError: the part is absent, or the belief is None. The error names its source.
     """
     found = getattr(belief, name, None)
     if found is None:

@@ -93,11 +93,7 @@ class CarMotion(eqx.Module):
 
 
 def car_motion(robot: Dynamics) -> CarMotion | None:
-    """Return how a robot moves that cannot turn on the spot; None for one that can.
-
-    Args:
-        robot: model of the robot.
-    """
+    """Return how a robot moves that cannot turn on the spot; None for one that can."""
     radius = float(robot.turning_radius)
     if radius == 0.0:
         return None
@@ -200,16 +196,13 @@ class CarLattice(Locomotion):
 
 
 def in_passage(is_open: Bool[Array, "N H W"], fits: Bool[Array, "N H W"]) -> Bool[Array, "N H W"]:
-    """Return the poses (N, H, W) in narrow passages, where a car fits, but not with its margin.
+    """Return the poses in narrow passages, where a car fits, but not with its margin.
 
-    In a passage it fits ahead and behind as well, and on neither side of it is there a pose that is
+    `is_open` are the poses where it fits with its margin, `fits` those where it fits without it. In
+    a passage it fits ahead and behind as well, and on neither side of it is there a pose that is
     open and leads on: along a wall there is one. The poses next to those, by a node and a heading,
     count as well, because the car turns where a passage begins. All others stay closed, so that a
     wall costs the same as without passages.
-
-    Args:
-        is_open: poses by heading where the car fits with its margin.
-        fits: poses where it fits without it.
     """
     height, width = is_open.shape[1:]
     angles = jnp.asarray(HEADINGS, jnp.float32)

@@ -14,12 +14,11 @@ Row = tuple[tuple[int, ...], float]
 
 @functools.cache
 def rests(radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rests of motions by the heading at which they begin.
+    """Return the rests of motions (N, R, 6) by the heading at which they begin, and their lengths.
 
-    Returns:
-        Number of the motion, heading of its end, rows and columns from its start, and rows and
-        columns to its end (N, R, 6); and the length of the rest (N, R) [node spacings], infinite
-        where a heading has fewer rests than others.
+    The six columns are the number of the motion, the heading of its end, rows and columns from its
+    start, and rows and columns to its end. The lengths (N, R) [node spacings] are infinite where a
+    heading has fewer rests than others.
     """
     by_heading: list[list[Row]] = [[] for _ in HEADINGS]
     for number, each in enumerate(motions(radius)):
@@ -77,9 +76,7 @@ def motion_table(radius: float) -> MotionTable:
 def continuations(radius: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Return the motions that begin at each heading, and after them the rests of motions.
 
-    Returns:
-        The rows and lengths of `rests`, with those of whole motions before them; and the number of
-        whole motions of a heading.
+    The arrays are like those of `rests`. The number is that of the whole motions of a heading.
     """
     by_heading: list[list[Row]] = [[] for _ in HEADINGS]
     for number, each in enumerate(motions(radius)):

@@ -92,14 +92,9 @@ def driven(
     The first motion may be the rest of one that passes the start. The path ends where no motion
     lowers the cost. Without a motion the car stands at its pose.
 
-    Args:
-        tree: cost-to-go on the lattice.
-        frame: frame of the lattice.
-        pose: pose of the car (x, y, yaw) [m, m, rad].
-        speed: its forward speed [m/s], which tells the direction of travel.
-        away: cost (N, H, W) of beginning at each pose of the lattice [m]; infinite elsewhere.
-        steps: length of a step forwards and of a step backwards [m].
-        num_steps: number of steps, T; static.
+    The sign of `speed` [m/s] tells the direction of travel. `away` is the cost of beginning at each
+    pose of the lattice [m]; infinite elsewhere. `steps` are the lengths of a step forwards and of a
+    step backwards [m].
     """
     directions = tree.costs.shape[0]
     heading, row, column = jnp.unravel_index(jnp.argmin(away), tree.is_open.shape)
@@ -157,15 +152,8 @@ def with_channel(
 
         U(p) + STRAYING (|x - p|^2 + (R turn)^2)
 
-    with R the turning radius, plus the price of a change of the direction of travel if it is not
-    that at p.
-
-    Args:
-        costs: cost-to-go by direction of travel and heading of the body [m].
-        path: points with their costs, of shape (P,).
-        frame: frame of the lattice.
-        radius: turning radius [node spacings].
-        reversal_cost: price of a change between forwards and backwards [m].
+    with R the turning radius (`radius` is in node spacings), plus `reversal_cost` [m] if the
+    direction of travel is not that at p. `path` has its points on one axis.
     """
     spacing = frame.resolution
     # A car without a path has infinite costs, and may have a pose that is not finite.
@@ -196,12 +184,8 @@ def _next(
 ) -> Moving:
     """Return the beginning of the cheapest motion from a pose of the lattice.
 
-    Args:
-        tree: cost-to-go on the lattice.
-        direction: direction of travel up to here.
-        body: index of the heading of the body.
-        corner: (2,) row and column.
-        with_rests: whether it may also be the rest of a motion that passes the pose; static.
+    `direction` is the direction of travel up to here. The motion may also be the rest of one that
+    passes the pose, if `with_rests`; static.
     """
     directions, _, height, width = tree.costs.shape
     rows, lefts, whole = continuations(tree.radius)

@@ -62,13 +62,11 @@ class CarRoadmap(Roadmap):
         *,
         is_from_source: bool = False,
     ) -> Float[Array, "D N H W"]:
-        """Return the cost-to-go (D, N, H, W) by direction of travel and heading of the body [m].
+        """Return the cost-to-go by direction of travel and heading of the body [m].
 
-        Forwards is direction 0, and backwards is direction 1 of a car that can reverse.
-
-        Args:
-            source: cost (N, H, W) of the poses where paths may end [m]; infinite elsewhere.
-            is_from_source: whether paths lead from the source instead of to it; static.
+        Forwards is direction 0, and backwards is direction 1 of a car that can reverse. `source` is
+        the cost of the poses where paths may end [m]; infinite elsewhere. If `is_from_source`
+        (static), paths lead from the source instead of to it.
         """
         found = self._costs(source, is_from_source=is_from_source)[0]
         # What leads from the source was driven the other way round.
@@ -204,8 +202,7 @@ class CarRoadmap(Roadmap):
     def sources_at(
         self, point: Position, heading: Scalar | None = None
     ) -> Float[Array, "*headings H W"]:
-        """Return the sources of paths that end at a point, (N, H, W) where they end with a heading;
-        see `Roadmap.sources_at`."""
+        """Return the sources of `Roadmap.sources_at`, by heading for paths that end with one."""
         if heading is None:
             return super().sources_at(point)
         return self.starts(jnp.append(point, heading))

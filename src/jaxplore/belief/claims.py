@@ -24,20 +24,15 @@ def claim_cost(
         kappa(s) = -decay_length ln share(s),
         share(s) = 1 / (1 + sum_k trust_k exp((d(s) - d_k(s)) / sharpness))
 
-    with d the length of this robot's path to the place s, and d_k that of robot k's. With trust 1,
-    `share` is the softmax of the lengths: the chance of being the first at s if lengths are
-    uncertain by `sharpness`. So kappa is about 0 where this robot is nearer than all others, and it
-    grows with the lead of the nearest other. As part of the cost-to-go of
-    `jaxplore.belief.exploration_field`, it weighs the information of a place by the share.
+    with d the length of this robot's path to the place s (`own`), and d_k that of robot k's, as
+    last heard (`others`) [m]. A length is infinite without a path: a robot to which a place is
+    unreachable does not claim it. The trust is between 0, for a robot that was never heard, and 1.
 
-    A robot to which a place is unreachable does not claim it.
-
-    Args:
-        own: length of this robot's path to each node [m]; infinite without a path.
-        others: (K, ...) lengths of the others' paths, as last heard [m].
-        trust: (K,) weight of each claim, from 0, for a robot that was never heard, to 1.
-        sharpness: difference of lengths for a factor e between two shares [m].
-        decay_length: additional distance that the robot travels for e times the information [m].
+    With trust 1, `share` is the softmax of the lengths: the chance of being the first at s if
+    lengths are uncertain by `sharpness` [m]. So kappa is about 0 where this robot is nearer than
+    all others, and it grows with the lead of the nearest other. As part of the cost-to-go of
+    `jaxplore.belief.exploration_field`, with the same `decay_length`, it weighs the information of
+    a place by the share.
     """
     is_claimed = jnp.isfinite(others) & jnp.isfinite(own)
     lead = jnp.where(is_claimed, own - others, 0.0) / sharpness
@@ -48,10 +43,5 @@ def claim_cost(
 
 
 def trust_in(age: Float[Array, " K"], memory: Scalar) -> Float[Array, " K"]:
-    """Return the trust in claims of an age [s], `exp(-age / memory)`; 0 for an infinite age.
-
-    Args:
-        age: (K,) time since each robot was heard [s].
-        memory: age at which a claim counts 1/e [s].
-    """
+    """Return the trust in claims of an age [s], `exp(-age / memory)`; 0 for an infinite age."""
     return jnp.exp(-age / memory)

@@ -14,8 +14,7 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 
 def blocks(values: Array, side: int) -> Array:
-    """Return the blocks of some voxels on a side along the last axis; an incomplete block repeats
-    its last voxels."""
+    """Return the voxels of each block on the last axis; a short block repeats its last voxels."""
     widths = [(0, -size % side) for size in values.shape]
     padded = jnp.pad(values, widths, mode="edge")
     depth, height, width = (size // side for size in padded.shape)
@@ -24,13 +23,9 @@ def blocks(values: Array, side: int) -> Array:
 
 
 def coarse_states(grid: VoxelGrid, pool: int) -> Int[Array, "D2 H2 W2"]:
-    """Return the states of the coarser voxels of a grid.
+    """Return the states of the coarser voxels of a grid, with `pool` voxels on a side; static.
 
-    One is occupied if any of its voxels is, and free if all of them are.
-
-    Args:
-        grid: log-odds of the voxels.
-        pool: voxels on a side of a coarser one; static.
+    A coarser voxel is occupied if any of its voxels is, and free if all of them are.
     """
     is_free = blocks(grid.is_free, pool).all(axis=-1)
     is_occupied = blocks(grid.is_occupied, pool).any(axis=-1)
@@ -54,11 +49,8 @@ def aligned_window(
 ) -> Window:
     """Return a window that begins with a whole coarser voxel, also where it is moved inwards.
 
-    Args:
-        corner: first voxel (k, j, i); the window may begin up to a coarser voxel before it.
-        shape: least numbers of voxels along z, y and x after that voxel; static.
-        map_shape: shape of the map; static.
-        pool: voxels on a side of a coarser one; static.
+    It may begin up to a coarser voxel, of `pool` voxels on a side, before the voxel `corner`
+    (k, j, i). After `corner` it has at least `shape` voxels. All but `corner` is static.
     """
     sizes = []
     for wanted, most in zip(shape, map_shape, strict=True):
@@ -74,14 +66,10 @@ def renewed(
     window: Window,
     pool: int,
 ) -> tuple[Shaped[Array, "D2 H2 W2"], Bool[Array, "d2 h2 w2"], Window]:
-    """Return coarser voxels with new ones in a window, which of these differ from the old ones, and
-    their window.
+    """Return coarser voxels with new ones in a window, which of these changed, and their window.
 
-    Args:
-        coarse: the coarser voxels.
-        new: those of the voxels of the window.
-        window: a window of `aligned_window`.
-        pool: voxels on a side of a coarser one; static.
+    The argument `window` is one of `aligned_window`, in voxels. `pool` voxels are on a side of a
+    coarser one; static.
     """
     shape = coarse_shape(window.shape, pool)
     target = Window.at(window.corner // pool, shape, coarse_shape(window.map_shape, pool))
@@ -100,14 +88,10 @@ def renewed(
 def within_reach(
     changed: Bool[Array, "H2 W2"], reach: int, first: int, stride: int, shape: tuple[int, int]
 ) -> Bool[Array, "H W"]:
-    """Return the mask of the columns of nodes that have a changed column within their reach.
+    """Return which columns of nodes have a changed column of coarser voxels within their reach.
 
-    Args:
-        changed: changed columns of coarser voxels.
-        reach: reach along each axis [coarser voxels]; static.
-        first: coarser voxel of the first node; static.
-        stride: coarser voxels between nodes; static.
-        shape: rows and columns of nodes; static.
+    The reach along each axis, the place of the first node and the stride between nodes are in
+    coarser voxels. `shape` are the rows and columns of nodes. All but `changed` is static.
     """
     touched = changed
     for axis, (size, number) in enumerate(zip(changed.shape, shape, strict=True)):

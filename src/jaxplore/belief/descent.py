@@ -17,9 +17,6 @@ def corner_of(step: tuple[int, int]) -> tuple[int, int]:
     """Return where the corner that a diagonal step passes is in a mask of corners, from its start.
 
     Entry (r, c) of such a mask is the corner between the nodes (r, c) and (r + 1, c + 1).
-
-    Args:
-        step: rows and columns of the step, each 1 or -1.
     """
     return min(step[0], 0), min(step[1], 0)
 
@@ -29,10 +26,7 @@ def stepped(
 ) -> Bool[Array, "H W"]:
     """Return the nodes from which a step leads to a node of a mask.
 
-    Args:
-        mask: the nodes (H, W).
-        step: rows and columns of the step.
-        corners: mask (H, W) of the corners that a diagonal step may pass.
+    A diagonal step must pass a corner of the mask `corners`.
     """
     there = neighbour(mask, step)
     return there & neighbour(corners, corner_of(step)) if all(step) else there
@@ -61,13 +55,8 @@ def extend(
 
     If a path leads diagonally between two closed nodes, these get at most the mean of the path's
     ends: a saddle. Between two ridges the interpolated cost would rise on the way through the gap,
-    and a robot that descends would stop in front of it.
-
-    Args:
-        value: cost-to-go (H, W), infinite at closed nodes.
-        num_layers: number of layers of closed nodes that are filled from their neighbours.
-        step: rise of the cost per layer.
-        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
+    and a robot that descends would stop in front of it. `corners` are those that a diagonal step
+    may pass; all when None.
     """
     height, width = value.shape
     greatest = jnp.max(jnp.where(jnp.isfinite(value), value, -jnp.inf))
@@ -114,14 +103,10 @@ def descent(
 ) -> Float[Array, "2 H W"]:
     """Return the unit vectors (row, column) along which a cost-to-go falls; 0 at its minima.
 
-    At an open node the vector is the sum of the slopes towards its lower neighbours. Closed nodes,
-    whose value is infinite, get the mean direction of the nodes around them, for `num_layers`
-    layers. So an obstacle does not change the direction of the path along it.
-
-    Args:
-        value: cost-to-go (H, W), infinite at closed nodes.
-        num_layers: number of layers of closed nodes that are filled from their neighbours.
-        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
+    At an open node the vector is the sum of the slopes towards its lower neighbours, diagonally
+    only past `corners`; past all when None. Closed nodes, whose value is infinite, get the mean
+    direction of the nodes around them, for `num_layers` layers. So an obstacle does not change the
+    direction of the path along it.
     """
     height, width = value.shape
 

@@ -26,14 +26,7 @@ def add_dwell(
 
         dwell <- dwell exp(-elapsed / memory) + elapsed exp(-(|node - position| / r)^2 / 2)
 
-    with r = `DWELL_RADIUS`.
-
-    Args:
-        dwell: dwell time (rows, columns) before [s].
-        frame: pose and node spacing of the lattice.
-        pose: pose (x, y, yaw) of the robot [m, m, rad]; one that is not finite adds nothing.
-        elapsed: time that has passed [s].
-        memory: time constant with which dwell time is forgotten [s].
+    with r = `DWELL_RADIUS` and times in seconds. A pose that is not finite adds nothing.
     """
     height, width = dwell.shape
     window = Window.around(pose[:2], REACH * DWELL_RADIUS, frame, (height, width))
@@ -55,15 +48,8 @@ def with_given_up(
 ) -> Float[Array, "*N"]:
     """Return the dwell time, longer where looks have taken away the worth of a place [s].
 
-    `GIVEN_UP` times the patience is added where the discounted information was at least
-    `min_information` at the last update and is less now.
-
-    Args:
-        dwell: dwell time [s].
-        before: information of a scan from each node at the last update [nat].
-        information: the information now [nat].
-        min_information: information below which a place comes last [nat].
-        patience: dwell time after which the discount is 1/e [s].
+    `GIVEN_UP` times the patience [s] is added where the discounted information of a scan was at
+    least `min_information` at the last update (`before`) and is less now [nat].
     """
     least = min_information / dwell_discount(dwell, patience)
     is_given_up = (before >= least) & (information < least)
@@ -74,9 +60,5 @@ def dwell_discount(dwell: Float[Array, "*N"], patience: Scalar) -> Float[Array, 
     """Return the factor `exp(-dwell / patience)` on information near which the robot has stayed.
 
     It makes the robot give up what it cannot observe.
-
-    Args:
-        dwell: dwell time [s].
-        patience: dwell time after which the factor is 1/e [s].
     """
     return jnp.exp(-dwell / patience)

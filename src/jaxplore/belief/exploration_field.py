@@ -41,37 +41,28 @@ def exploration_field(
         U(x) = min over s of [ d(x, s) - decay_length * ln W(s) ],
         W(s) = I(s) exp(-dwell(s) / patience)
 
-    over positions s in free space. I(s) is the information of a full circle of beams. d is the
-    length of the shortest path that keeps the robot's clearance from all cells that are not free;
-    length counts up to double where the robot just fits. U is also `-decay_length` times the
-    logarithm of the greatest `W(s) exp(-d(x, s) / decay_length)`. It has local minima only at
-    places with information.
+    over positions s in free space. I(s) is the information of a full circle of beams, and `worth`
+    is W at the nodes [nat]. d is the length of the shortest path that keeps the robot's clearance
+    `required` [m] from all cells that are not free; length counts up to double where the robot just
+    fits. U is also `-decay_length` times the logarithm of the greatest
+    `W(s) exp(-d(x, s) / decay_length)`: the robot travels `decay_length` [m] farther for e times
+    the information. U has local minima only at places with information.
 
     `dwell` is the time recently spent near a place. A place where the robot stays loses its weight
     and regains it later, so the robot gives up what it cannot observe. Places with W below
-    `min_information`, mostly cells near walls that noise changes back and forth, get an additional
-    cost of a kilometre: they come last.
+    `min_information` [nat], mostly cells near walls that noise changes back and forth, get an
+    additional cost of a kilometre: they come last.
 
-    In a fleet, the cost of a place at the end of a path is greater by what the claims of the other
-    robots to it cost (`jaxplore.belief.claims`). It is a cost and no discount of W: a place that is
-    claimed by another robot keeps its rank before the places with little information.
+    In a fleet, the cost of a place at the end of a path is greater by `claims` [m], what the claims
+    of the other robots to it cost (`jaxplore.belief.claims`). It is a cost and no discount of W: a
+    place that is claimed by another robot keeps its rank before the places with little information.
 
-    A goal is one more source of the field. It comes after all places with enough information and
-    before the places with little, and it is the only source once the map is explored.
+    A goal (x, y) [m] is one more source of the field, with a heading there [rad] if one is given.
+    It comes after all places with enough information and before the places with little, and it is
+    the only source once the map is explored (`is_explored`).
 
-    Args:
-        clearance: distance to the nearest cell that is not free [m].
-        worth: discounted information W of each node [nat].
-        required: clearance that the robot needs [m].
-        locomotion: paths that the robot can drive.
-        decay_length: additional distance that the robot travels for e times the information [m].
-        min_information: information below which a place comes last [nat].
-        stride: number of cells between nodes; static.
-        goal: goal position (x, y) that is one more source [m]; None without one.
-        goal_heading: heading at the goal [rad]; any when absent.
-        is_explored: whether the goal is the only source; without a goal it has no effect.
-        start: position (x, y) of the robot [m], see `Roadmap.field`.
-        claims: additional cost of each node as the end of a path [m]; none when absent.
+    `clearance` is the distance to the nearest cell that is not free [m]. Nodes are `stride` cells
+    apart; static. For `start`, the position of the robot, see `Roadmap.field`.
     """
     roads = locomotion.roadmap(clearance, required, stride)
     source = information_sources(worth, decay_length, min_information)
@@ -89,13 +80,9 @@ def information_sources(
 ) -> Float[Array, "*nodes"]:
     """Return the cost of each place as the end of a path, `-decay_length ln W` [m].
 
-    Places below `min_information` get the additional cost `LEFTOVER_DETOUR`, and it is infinite
-    below `LEFTOVER_SHARE` of that.
-
-    Args:
-        worth: discounted information W of each node.
-        decay_length: additional distance that the robot travels for e times the information [m].
-        min_information: information below which a place comes last, in the unit of `worth`.
+    W is `worth`, the discounted information. Places where it is below `min_information`, in the
+    same unit, get the additional cost `LEFTOVER_DETOUR`. The cost is infinite where W is below
+    `LEFTOVER_SHARE min_information`.
     """
     # The bound keeps the logarithm finite where there is no information.
     reward = decay_length * jnp.log(jnp.maximum(worth, 1e-6))
@@ -104,13 +91,9 @@ def information_sources(
 
 
 def leads_to_goal(field: GuidanceField, position: Position) -> Flag:
-    """Return whether the goal is the next source that an exploration field leads to.
+    """Return whether the next source that an exploration field leads to is its goal.
 
     It is if the cost-to-go shows that only the goal or leftovers are reachable.
-
-    Args:
-        field: exploration field with a goal.
-        position: position (x, y) of the robot [m].
     """
     # Half the detour tells sources that have one, the goal and leftovers, from all others. Off the
     # map the cost is `outside`, which says nothing about the sources.
@@ -121,10 +104,8 @@ def leads_to_goal(field: GuidanceField, position: Position) -> Flag:
 def leads_to_information(cost: Any) -> Any:
     """Return whether a cost-to-go leads to a place with at least `min_information`.
 
-    If it does not, a robot has nothing left to learn: the places with little information, and the
-    goal, have a detour of their own, and without any place the cost is infinite or `outside`.
-
-    Args:
-        cost: cost-to-go of an exploration field at the robot, a number or an array [m].
+    `cost` is the cost-to-go at the robot, a number or an array [m]. If it leads to no such place,
+    the robot has nothing left to learn: the places with little information, and the goal, have a
+    detour of their own, and without any place the cost is infinite or `outside`.
     """
     return cost < 0.5 * LEFTOVER_DETOUR

@@ -22,18 +22,11 @@ def geodesic(
 ) -> Float[Array, "H W"]:
     """Return the cost-to-go `min over s of initial(s) + cost of the shortest path from s`.
 
-    Paths connect each open node with its 8 neighbours, with the diagonal ones only past a clear
-    corner. A step of length l, in node spacings, costs
-    `l * (slowness(from) + slowness(to)) / 2`. The values are those of Dijkstra's algorithm, found
-    by relaxing many nodes at once until none changes (Bellman-Ford), which on a grid is a minimum
-    of shifted arrays.
-
-    Args:
-        initial: cost (H, W) at the sources; infinite elsewhere.
-        slowness: cost (H, W) per node spacing, > 0.
-        is_open: mask (H, W) of the nodes that paths may use.
-        corners: mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`; all
-            when absent.
+    `initial` is infinite where no path ends. Paths connect each open node with its 8 neighbours,
+    with the diagonal ones only past a clear corner (`clear_corners`; all are when None). A step of
+    length l, in node spacings, costs `l * (slowness(from) + slowness(to)) / 2`, with slowness > 0.
+    The values are those of Dijkstra's algorithm, found by relaxing many nodes at once until none
+    changes (Bellman-Ford), which on a grid is a minimum of shifted arrays.
     """
     # Split each step's cost in two: leave with the neighbour's half, arrive with the own half.
     half = 0.5 * jnp.where(is_open, slowness, jnp.inf)
@@ -53,12 +46,9 @@ def narrow_passages(
 ) -> Bool[Array, "H W"]:
     """Return the narrow nodes through which shortest paths from other nodes lead.
 
-    Args:
-        value: cost-to-go (H, W) from `geodesic`.
-        half: half the cost of a step of one node spacing (H, W), as there.
-        is_narrow: mask (H, W) of the narrow nodes.
-        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
-        begins: mask (H, W) of narrow nodes where a path begins, too; none when absent.
+    Paths may also begin at the narrow nodes `begins`. `value` is the cost-to-go of `geodesic`, and
+    `half` half the cost of a step of one node spacing. `corners` are those that a diagonal step may
+    pass; all when None.
     """
     costs = []
     for step in NEIGHBOURS:
@@ -91,12 +81,10 @@ def narrow_passages(
 
 
 def _relax(value: Array, half: Array, detour: Array | None = None) -> Array:
-    """Return the least cost-to-go by a step to a neighbour.
+    """Return the least cost-to-go by a step to a neighbour. All arrays have a margin of 1.
 
-    Args:
-        value: cost-to-go with a margin of 1.
-        half: half the cost of a step of one node spacing, likewise.
-        detour: what a diagonal step past each corner costs more, likewise; 0 when absent.
+    `half` is half the cost of a step of one node spacing, and `detour` what a diagonal step past
+    each corner costs more; 0 when None.
     """
     height, width = value.shape[0] - 2, value.shape[1] - 2
 

@@ -29,27 +29,20 @@ def goal_field(
     """Return the cost-to-go to a goal [m] and the direction of its descent.
 
     The cost is the weighted length of the shortest path on which the robot fits between *occupied*
-    cells; unknown cells are passable (free-space assumption). If a path turns out to be blocked,
-    the next field leads around. A robot that follows the field reaches the goal, or has observed
-    that no path exists.
+    cells; unknown cells are passable (free-space assumption). No path enters the cells `blocked`.
+    If a path turns out to be blocked, the next field leads around. A robot that follows the field
+    reaches the goal, or has observed that no path exists.
 
     Path length is weighted by `1 + 5 t^4`, with the tightness t from 0 in open space to 1 where the
-    robot just fits. Most rollouts collide in tight passages, so a longer but wider path is
-    preferred. In unknown space the length is also weighted by `1 + unknown_factor`.
+    robot just fits, with the clearance `required` [m]. Most rollouts collide in tight passages, so
+    a longer but wider path is preferred. In unknown space the length is also weighted by
+    `1 + unknown_factor`.
 
     Source: Koenig and Smirnov, "Sensor-based planning with the freespace assumption", ICRA 1997.
 
-    Args:
-        grid: occupancy grid of the robot.
-        blocked: mask (H, W) of further cells that may not be entered, or None.
-        goal: goal position (x, y) [m].
-        required: clearance that the robot needs [m].
-        locomotion: paths that the robot can drive.
-        unknown_factor: additional cost per metre in unknown space.
-        max_clearance: upper bound of the clearance [m]; static.
-        stride: number of cells between nodes; static.
-        start: position (x, y) of the robot [m], see `Roadmap.field`.
-        heading: heading at the goal [rad]; any when absent.
+    The clearance is computed up to `max_clearance` [m], and nodes are `stride` cells apart; both
+    static. For `start`, the position of the robot, see `Roadmap.field`. Paths end with `heading`
+    [rad]; with any when None.
     """
     solid = grid.is_occupied if blocked is None else grid.is_occupied | blocked
     clearance = clearance_field(solid, grid.frame, max_clearance)

@@ -105,14 +105,10 @@ def descent_field(
     num_layers: int,
     corners: Bool[Array, "H W"] | None = None,
 ) -> GuidanceField:
-    """Return a cost-to-go on a lattice as a field, extended into closed nodes.
+    """Return a cost-to-go on a lattice as a field, extended into closed nodes by `num_layers`.
 
-    Args:
-        distance: cost-to-go (H, W) from `geodesic` [m], infinite at closed nodes.
-        frame: pose and node spacing of the lattice.
-        num_layers: number of layers of closed nodes into which the field is extended; static.
-        corners: mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`; all
-            when absent.
+    The cost-to-go is that of `geodesic` [m], infinite at closed nodes. A diagonal step may pass the
+    `corners` of `clear_corners`; all when None.
     """
     # Rotate the descent from the axes of the lattice to those of the world.
     along_row, along_column = descent(distance, num_layers, corners)

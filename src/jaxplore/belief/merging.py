@@ -24,14 +24,10 @@ SAME = 5e-6
 
 
 def own_change(model: InverseSensorModel, before: GridValues, now: GridValues) -> GridValues:
-    """Return the change of the log-odds (H, W) between two maps of one robot.
+    """Return the change of the log-odds between two maps of one robot, given as probabilities.
 
-    It is exactly 0 in cells that have not changed.
-
-    Args:
-        model: inverse sensor model of the robot.
-        before: probabilities (H, W) after the last merge.
-        now: probabilities (H, W) after scans of its own since then.
+    `before` is the map after the last merge, `now` that after scans of its own since then. The
+    change is exactly 0 in cells that have not changed.
     """
     return jnp.where(now == before, 0.0, model.log_odds(now) - model.log_odds(before))
 
@@ -45,14 +41,10 @@ def merged_map(
 ) -> GridValues:
     """Return the map of the prior and of all contributions.
 
-    Args:
-        model: inverse sensor model, whose clamp applies to the sum.
-        prior: probabilities (H, W) that were known in advance.
-        contributions: (K, H, W) sums of log-odds changes.
-        now: probabilities (H, W) of the map before.
-        is_new: (H, W) cells with a contribution that may not be in the map. All others keep their
-            probability to the bit, as do those that change by less than `SAME`: what is derived
-            from them stays as it is.
+    `prior` and `now`, the map before, are probabilities. Contributions are sums of log-odds
+    changes, and the clamp of the sensor model applies to their total. Only cells `is_new` have a
+    contribution that may not be in the map. All others keep their probability to the bit, as do
+    those that change by less than `SAME`: what is derived from them stays as it is.
     """
     total = model.log_odds(prior) + jnp.sum(contributions, axis=0)
     merged = jax.nn.sigmoid(jnp.clip(total, model.minimum, model.maximum))

@@ -24,13 +24,7 @@ def checked_test(
     ground: Ground | None,
     watch: IdlenessMap | None,
 ) -> AnomalyTest | None:
-    """Check that a perception can test for anomalies, and return the test.
-
-    Args:
-        anomalies: the test; None for none.
-        sensor: first sensor.
-        ground: ground of the map's cells; None if it is level.
-        watch: idleness map; None without one.
+    """Check that a perception can test for anomalies with its first sensor, and return the test.
 
     Raises:
         ValueError: a test without a watch, with a ground, or for another sensor than a lidar.
@@ -65,11 +59,7 @@ def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
 
 
 def as_scans(scans: Scan | Sequence[Scan], number: int) -> Sequence[Scan]:
-    """Return one scan or several as a sequence.
-
-    Args:
-        scans: one scan, or one for each sensor.
-        number: number of sensors.
+    """Return one scan, or one for each of `number` sensors, as a sequence.
 
     Raises:
         ValueError: something that is not a scan, or another number of them.
@@ -93,15 +83,10 @@ def safe_stride(
     cells share faces they are at least `2 radius` plus a cell apart. The line between them crosses
     the line between two cells of the wall, which are at most `sqrt(2)` cells apart where they touch
     at a corner. Both are at least R = `required` plus half a cell from both, so they are at least
-    `2 sqrt(R^2 - 1/2)` cells apart.
+    `2 sqrt(R^2 - 1/2)` cells apart. `required` is the clearance that paths keep; the radius of the
+    robot's disc when None. All arguments are in metres.
 
     With a stride of 1 a diagonal step may pass a wall, which `clear_corners` forbids.
-
-    Args:
-        node_spacing: wanted distance between nodes [m].
-        resolution: side of a map cell [m].
-        radius: radius of the robot's disc [m].
-        required: clearance that paths keep [m]; the radius when absent.
     """
     stride = max(1, round(node_spacing / resolution))
     nearest = (radius if required is None else required) / resolution + 0.5
@@ -118,14 +103,9 @@ def narrow_clearance(
 ) -> Scalar:
     """Return the clearance from which a robot takes narrow passages [m].
 
-    It is `radius + NARROW_SHARE margin`, and at least `narrowest`.
-
-    Args:
-        radius: radius of the robot's disc [m].
-        margin: clearance that other paths keep beyond the radius [m].
-        stride: number of cells between nodes.
-        resolution: side of a map cell [m].
-        has_corners: whether its paths are checked at the corners of blocks.
+    It is `radius + NARROW_SHARE margin`, and at least `narrowest`. Other paths keep `margin` [m]
+    beyond the radius of the robot's disc. With `has_corners`, paths are checked at the corners of
+    blocks.
     """
     least = narrowest(stride, resolution, has_corners=has_corners)
     return computed(

@@ -48,12 +48,7 @@ class Plans(NamedTuple):
         return self._replace(age=self.age + elapsed)
 
     def told(self, positions: Float[Array, "N T 2"], is_heard: Bool[Array, " N"]) -> "Plans":
-        """Return the plans with new ones, which were made now, of those that are heard.
-
-        Args:
-            positions: (N, T, 2) planned positions [m].
-            is_heard: (N,) whether the plan of each obstacle is heard.
-        """
+        """Return the plans with new positions [m], made now, of the obstacles that are heard."""
         return self._replace(
             positions=jnp.where(is_heard[:, None, None], positions, self.positions),
             age=jnp.where(is_heard, 0.0, self.age),

@@ -50,8 +50,7 @@ class Roadmap(eqx.Module):
     def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
 
-        Args:
-            source: cost (H, W) at the nodes where paths may end [m]; infinite elsewhere.
+        `source` is the cost at the nodes where paths may end [m]; infinite elsewhere.
         """
         source = jnp.where(self.is_open, source, jnp.inf)
         return geodesic(source, self.slowness, self.is_passable, self.corners)
@@ -67,12 +66,9 @@ class Roadmap(eqx.Module):
     def sources_at(
         self, point: Position, heading: Scalar | None = None
     ) -> Float[Array, "*headings H W"]:
-        """Return the sources (H, W) of paths that end at a point, see `point_sources` [m].
+        """Return the sources of paths that end at a point (x, y) [m], see `point_sources`.
 
-        Args:
-            point: position (x, y) [m].
-            heading: heading there [rad], which only a robot must drive for that cannot turn on the
-                spot; any when absent.
+        Only a robot that cannot turn on the spot must drive for a heading there [rad]; None: any.
         """
         return point_sources(point, self.frame, self.is_open, self.corners)
 
@@ -84,12 +80,8 @@ class Roadmap(eqx.Module):
     def field(self, source: Float[Array, "H W"], start: Position | None = None) -> GuidanceField:
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes.
 
-        Narrow nodes are closed unless a path leads through them.
-
-        Args:
-            source: cost (H, W) at the nodes where paths may end [m]; infinite elsewhere.
-            start: position (x, y) of the robot [m], whose path may begin in a narrow passage; none
-                when absent.
+        Narrow nodes are closed unless a path leads through them. The path of a robot at `start`
+        (x, y) [m] may also begin at one.
         """
         return self._extended(self.lengths(source), start)
 
@@ -113,8 +105,7 @@ class Roadmap(eqx.Module):
         return descent_field(lengths, self.frame, LAYERS, self.corners)
 
     def _nearest_passable(self, point: Position) -> Bool[Array, "H W"]:
-        """Return the mask of the passable node nearest to a point, if it is in its block or beside
-        it."""
+        """Mask the passable node nearest to a point, if it is in the point's block or beside it."""
         distance = self.frame.distances(point, self.is_passable.shape)
         distance = jnp.where(self.is_passable, distance, jnp.inf)
         return (distance <= distance.min()) & (distance < 1.5 * self.spacing)
@@ -144,25 +135,15 @@ class Locomotion(eqx.Module):
     ) -> Roadmap:
         """Build the lattice of places in which the robot fits, with one node per block of cells.
 
-        A node is open if the robot fits at any cell of its block. The price keeps paths in the
-        middle of passages.
-
-        Args:
-            clearance: distance to the nearest blocked cell [m].
-            required: clearance that the robot's discs need [m].
-            stride: number of cells on a side of a block; static.
-            price: cost of a metre by tightness.
-            factor: further factor (H, W) of the cost of each node; 1 when absent.
+        A node is open if the robot fits at any cell of its block, of `stride` cells on a side;
+        static. `clearance` is the distance to the nearest blocked cell, and `required` that which
+        the robot's discs need [m]. `price`, the cost of a metre by tightness, keeps paths in the
+        middle of passages. `factor` multiplies the cost of each node; 1 when None.
         """
 
     @abc.abstractmethod
     def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> GuidanceField:
-        """Return a field of such a road map that is 0 everywhere.
-
-        Args:
-            frame: pose and node spacing of the lattice.
-            shape: rows and columns of the lattice.
-        """
+        """Return a field of such a road map that is 0 everywhere, on a lattice of this shape."""
 
 
 class TurnsOnTheSpot(Locomotion):
@@ -216,9 +197,7 @@ def block_maximum(values: Float[Array, "H W"], stride: int) -> Float[Array, "row
 def fit(room: Float[Array, "*S"], required: Scalar) -> tuple[Bool[Array, "*S"], Float[Array, "*S"]]:
     """Return where a robot fits, and how tightly: 0 in open space, 1 where it just fits.
 
-    Args:
-        room: clearance [m].
-        required: clearance that the robot needs [m].
+    `room` is the clearance there, and `required` that which the robot needs [m].
     """
     spare = (room - required) / required
     # The tolerance absorbs rounding: a passage of exactly the required width is open.
@@ -226,7 +205,7 @@ def fit(room: Float[Array, "*S"], required: Scalar) -> tuple[Bool[Array, "*S"], 
 
 
 def clear_corners(clearance: ScalarField, stride: int) -> Bool[Array, "H W"] | None:
-    """Return the mask (H, W) of the corners that a diagonal step may pass; None for all.
+    """Return the mask of the corners that a diagonal step may pass; None for all.
 
     Entry (r, c) is the corner between the nodes (r, c), (r, c + 1), (r + 1, c) and (r + 1, c + 1).
     It is clear if none of these cells is blocked. Two cells on the two sides of a wall that touch
@@ -234,11 +213,8 @@ def clear_corners(clearance: ScalarField, stride: int) -> Bool[Array, "H W"] | N
     are open nodes as well: only the cells beside the step show the wall.
 
     Blocks of several cells need no mask: `safe_stride` takes them only for a robot so wide that no
-    two open blocks on two sides of a wall touch.
-
-    Args:
-        clearance: distance to the nearest blocked cell, 0 in blocked cells [m].
-        stride: number of cells on a side of a block; static.
+    two open blocks on two sides of a wall touch. `clearance` is 0 in blocked cells, and `stride`
+    the number of cells on a side of a block; static.
     """
     return _block_corners(clearance.values > 0.0, 1) if stride == 1 else None
 
@@ -249,13 +225,8 @@ def narrowest(stride: int, resolution: float, *, has_corners: bool = True) -> fl
     It is that of `safe_stride` for a stride s: with R the clearance plus half a cell, two open
     cells on two sides of a wall are at least `2 sqrt(R^2 - 1/2)` cells apart. Two such cells in
     adjacent blocks that are `sqrt(2) (2 s - 1)` cells apart have the wall at the corner between
-    the blocks. Where corners are checked, a step needs free cells there, and all others are at most
-    `sqrt((2 s - 1)^2 + (2 s - 2)^2)` cells apart.
-
-    Args:
-        stride: number of cells between nodes.
-        resolution: side of a map cell [m].
-        has_corners: whether paths are checked at the corners of blocks.
+    the blocks. Where paths are checked at corners (`has_corners`), a step needs free cells there,
+    and all others are at most `sqrt((2 s - 1)^2 + (2 s - 2)^2)` cells apart.
     """
     across = 2.0 * stride - 1.0
     apart = math.hypot(across, across - 1.0 if has_corners else across)
@@ -282,15 +253,10 @@ def _corners_at(
 def _beside_bottleneck(
     passable: Bool[Array, "H W"], fits: Bool[Array, "h w"], stride: int
 ) -> Bool[Array, "H W"]:
-    """Return the passable nodes with a passable node above, below or beside them to which no cell
-    leads in which the robot fits.
+    """Return the passable nodes with a bottleneck to a passable node above, below or beside them.
 
-    Each of the two has a cell in which the robot fits, but between these cells it does not.
-
-    Args:
-        passable: mask (H, W) of the nodes with a cell in which the robot fits.
-        fits: mask (h, w) of these cells.
-        stride: number of cells on a side of a block; static.
+    Each of the two has a cell in which the robot fits (`fits`), but between these cells it does
+    not. `stride` is the number of cells on a side of a block; static.
     """
     found = jnp.zeros_like(passable)
     if stride == 1:
@@ -340,17 +306,11 @@ def point_sources(
     is_open: Bool[Array, "H W"],
     corners: Bool[Array, "H W"] | None = None,
 ) -> Float[Array, "H W"]:
-    """Return the sources of `geodesic` for paths that end at a point.
+    """Return the sources of `geodesic` for paths that end at a point (x, y) [m].
 
     These are the open nodes nearest to the point, within a node spacing, with their distance to the
     point [m]. All other nodes are infinite. Nodes on the other side of a wall do not count, see
-    `nearest_open`.
-
-    Args:
-        point: position (x, y) at which paths end [m].
-        frame: pose and node spacing of the lattice.
-        is_open: mask (H, W) of the nodes that paths may use.
-        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
+    `nearest_open`. `corners` are those that a diagonal step may pass; all when None.
     """
     distance = jnp.where(is_open, frame.distances(point, is_open.shape), jnp.inf)
     return nearest_open(distance, distance, frame.resolution, corners)
@@ -364,15 +324,12 @@ def nearest_open(
 ) -> Float[Array, "*N H W"]:
     """Return the costs within a node spacing of the least one; all others infinite.
 
-    With a mask of corners, and where the point is in the cell of an open node, only nodes count to
-    which at most two steps lead from that node. A node on the other side of a wall may be as near
-    as one on this side.
+    `cost` is that of the way from a point to the nodes, and `distance` their distance from it; both
+    are infinite at closed nodes. All lengths are in metres.
 
-    Args:
-        cost: cost (..., H, W) of the way from a point to the nodes [m]; infinite at closed ones.
-        distance: distance (H, W) of the nodes from the point [m]; infinite at closed ones.
-        spacing: distance between nodes [m].
-        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
+    With a mask of corners that a diagonal step may pass, and where the point is in the cell of an
+    open node, only nodes count to which at most two steps lead from that node. A node on the other
+    side of a wall may be as near as one on this side.
     """
     if corners is not None:
         is_reached = distance <= distance.min()

@@ -60,12 +60,9 @@ class RollingMap(eqx.Module):
     ) -> tuple["RollingMap", VoxelGrid]:
         """Return a map with its window around a position, and the grid of the window.
 
-        Args:
-            grid: log-odds of the whole volume.
-            position: position (x, y, z) of the robot [m].
-            shape: numbers of voxels of the window, of `window_shape`; static.
-            block: voxels on a side of a block; static.
-            model: inverse sensor model, whose bounds are those of the log-odds.
+        `grid` is that of the whole volume. `shape` is one of `window_shape`, and `block` the
+        number of voxels on a side of a block; both static. The bounds of `model` are those of the
+        log-odds.
         """
         unit = jnp.maximum(jnp.abs(model.minimum), jnp.abs(model.maximum)) / LEVELS
         offset = centred(grid.to_grid(position), shape, grid.shape, block)
@@ -79,12 +76,7 @@ class RollingMap(eqx.Module):
         return Window(self.offset, shape, self.shape)
 
     def window(self, grid: VoxelGrid, shape: tuple[int, int, int]) -> VoxelGrid:
-        """Return the grid of the window as it was stored.
-
-        Args:
-            grid: a grid with the resolution of the volume.
-            shape: numbers of voxels of the window; static.
-        """
+        """Return the grid of the window as it was stored, with the resolution of `grid`."""
         log_odds = self.place(shape).read(self.stored).astype(jnp.float32) * self.unit
         corner = self.origin + grid.resolution * jnp.flip(self.offset).astype(jnp.float32)
         moved: VoxelGrid = eqx.tree_at(
@@ -109,11 +101,8 @@ class RollingMap(eqx.Module):
     ) -> tuple[Flag, Int[Array, "3"]]:
         """Return whether the window must move, and where it begins then.
 
-        Args:
-            grid: grid of the window.
-            position: position (x, y, z) of the robot [m].
-            keep: distance to an inner face at which the window moves [m].
-            block: voxels on a side of a block; static.
+        It must if the robot is less than `keep` [m] from an inner face. `grid` is that of the
+        window, and `block` the number of voxels on a side of a block; static.
         """
         here = grid.to_grid(position)
         ends = np.asarray(grid.shape, np.float32)
@@ -128,11 +117,9 @@ class RollingMap(eqx.Module):
     ) -> Float[Array, "Db Hb Wb"]:
         """Return the greatest information of each block, with that of the window's in their places.
 
-        Args:
-            shape: numbers of voxels of the window; static.
-            worth: information of each node of the window where the robot fits, 0 elsewhere
-                [nat m^3].
-            block: voxels on a side of a block; static.
+        `shape` is that of the window, and `block` the number of voxels on a side of a block; both
+        static. `worth` is the information of each node of the window where the robot fits, 0
+        elsewhere [nat m^3].
         """
         padded = jnp.pad(worth, [(0, -size % BLOCK) for size in worth.shape])
         depth, height, width = (size // BLOCK for size in padded.shape)
@@ -147,21 +134,15 @@ class RollingMap(eqx.Module):
         decay_length: Scalar,
         min_information: Scalar,
     ) -> VolumeField:
-        """Return the cost-to-go to what was left outside the window, as if nothing was between.
+        """Return the cost-to-go to what was left outside the window, as if nothing was between [m].
 
         With d the distance between blocks and I the greatest information of a block outside,
 
             V(x) = min over blocks b of d(x, b) - decay_length ln I(b)
 
-        Args:
-            grid: grid of the window.
-            block: voxels on a side of a block; static.
-            decay_length: additional distance that the robot travels for e times the information
-                [m].
-            min_information: information below which a block does not count [nat m^3].
-
-        Returns:
-            The field; `FAR` where nothing was left.
+        Blocks with less than `min_information` [nat m^3] do not count; without others the field is
+        `FAR`. `grid` is that of the window, and `block` the number of voxels on a side of a block;
+        static.
         """
         spacing = block * grid.resolution
         first = -(-self.offset // block)
@@ -191,16 +172,8 @@ class RollingMap(eqx.Module):
     ) -> Float[Array, "d h w"]:
         """Return the cost of the nodes at the inner faces of the window as ends of a path [m].
 
-        It is that of `toward_the_rest`, and infinite at all other nodes.
-
-        Args:
-            grid: grid of the window.
-            roads: the nodes.
-            block: voxels on a side of a block; static.
-            decay_length: additional distance that the robot travels for e times the information
-                [m].
-            min_information: information below which a block does not count [nat m^3].
-            kept: distance that the robot keeps from what is beyond the window [m]; static.
+        It is that of `toward_the_rest`, with the same arguments, and infinite at all other nodes.
+        `kept` is the distance that the robot keeps from what is beyond the window [m]; static.
         """
         rest = self.toward_the_rest(grid, block, decay_length, min_information)
         shape = roads.slowness.shape
@@ -215,12 +188,9 @@ def check_extents(
 ) -> None:
     """Check that a window is so large that it need not move again at once.
 
-    Args:
-        extents: extents (x, y, z) of the window [m].
-        whole: numbers of voxels of the volume along z, y and x.
-        side: side of a voxel [m].
-        block: voxels on a side of the blocks by which the window moves.
-        keep: distance to a face, inside the volume, at which the window moves [m].
+    `extents` (x, y, z) and the side of a voxel are in metres, and the volume has `whole` voxels
+    along z, y and x. The window moves by blocks of `block` voxels on a side, when the robot is at
+    the distance `keep` [m] from a face inside the volume.
 
     Raises:
         ValueError: a window that is too small.
@@ -241,12 +211,9 @@ def window_shape(
 ) -> tuple[int, int, int]:
     """Return the numbers of voxels of a window along z, y and x.
 
-    Args:
-        whole: those of the volume.
-        extents: extents (x, y, z) of the window [m].
-        side: side of a voxel [m].
-        block: voxels on a side of a block: at the far end of the volume, too, the window begins
-            with a whole one.
+    `whole` are those of the volume. `extents` (x, y, z) and the side of a voxel are in metres. At
+    the far end of the volume, too, the window begins with a whole block of `block` voxels on a
+    side.
     """
     sizes = []
     for most, extent in zip(whole, reversed(extents), strict=True):
@@ -261,11 +228,8 @@ def centred(
 ) -> Int[Array, "3"]:
     """Return the first voxel of the window whose middle is nearest to a place.
 
-    Args:
-        here: place in grid coordinates (z, y, x) of the volume [voxels].
-        shape: shape of the window; static.
-        whole: shape of the volume; static.
-        block: voxels on a side of a block; static.
+    The place is in grid coordinates (z, y, x) of the volume [voxels]. `shape` is that of the
+    window, `whole` that of the volume, and `block` the voxels on a side of a block; all static.
     """
     finite = jnp.where(jnp.isfinite(here), here, 0.0)
     middle = 0.5 * np.asarray(shape, np.float32)
@@ -276,9 +240,7 @@ def centred(
 def shifted(values: Array, shift: Int[Array, "3"]) -> Array:
     """Return an array (..., D, H, W) moved by places along its last axes; 0 where nothing was.
 
-    Args:
-        values: the array.
-        shift: place (k, j, i) that becomes the first one.
+    `shift` is the place (k, j, i) that becomes the first one.
     """
     moved, first = values, values.ndim - 3
     for axis in range(3):

@@ -23,16 +23,8 @@ def revised(
 ) -> tuple[LocaliserState, Belief]:
     """Close loops, on the host; return the state, and the belief with the map of moved scans.
 
-    The belief is the same object if no scan has moved.
-
-    Args:
-        closer: closes loops.
-        localiser: the localiser.
-        known: its state.
-        perception: makes the map and its fields.
-        belief: the belief before.
-        prior: map that the robot knew in advance.
-        start: pose (x, y, yaw) at the start [m, m, rad].
+    The belief is the same object if no scan has moved. `prior` is the map that the robot knew in
+    advance, and `start` the pose at the start.
 
     Raises:
         ValueError: an argument of another class; GTSAM is not installed.

@@ -19,14 +19,8 @@ def is_in_sight(
 ) -> Bool[Array, "rows columns"]:
     """Return whether the straight line from each node to a place is known to be free.
 
-    `SAMPLES` points of the line are tested.
-
-    Args:
-        grid: the robot's map.
-        nodes: (rows, columns, 2) positions [m].
-        place: the place [m].
-        apart: length at the end of the line that is not tested: cells at the place itself may be
-            solid on the robot's map [m].
+    `SAMPLES` points of the line are tested. The last `apart` metres are not: cells at the place
+    itself may be solid on the robot's map.
     """
     offset = place - nodes
     distance = jnp.linalg.norm(offset, axis=-1)

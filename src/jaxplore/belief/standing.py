@@ -13,15 +13,10 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 def freed_below(
     grid: OccupancyGrid, pose: Pose, required: Scalar, sensor_model: InverseSensorModel
 ) -> OccupancyGrid:
-    """Return a map with the cells under a robot free.
+    """Return a map with the cells under a robot free, at the least probability of the sensor model.
 
     The robot stands on free ground, whatever the prior map says: otherwise no path starts there.
-
-    Args:
-        grid: prior map.
-        pose: pose (x, y, yaw) of the robot [m, m, rad].
-        required: clearance that the robot needs [m].
-        sensor_model: inverse sensor model, whose least probability the cells get.
+    `required` is the clearance that the robot needs [m].
     """
     distance = grid.frame.distances(pose[:2], grid.shape)
     # Clearance is measured from a cell's centre and less half a cell. The additional 1.5 cells
@@ -41,13 +36,8 @@ def freed_around(
 ) -> VoxelGrid:
     """Return a map with the unknown voxels of the ball that a robot needs free.
 
-    No sensor sees where the robot itself is.
-
-    Args:
-        grid: log-odds of the voxels that are known in advance.
-        position: position (x, y, z) of the robot [m].
-        required: clearance that the robot needs [m].
-        sensor_model: inverse sensor model, whose log-odds of a free voxel they get.
+    No sensor sees where the robot itself is. The voxels get the log-odds of a free voxel of the
+    sensor model. `required` is the clearance that the robot needs [m].
     """
     side = grid.resolution
     depth, height, width = grid.shape

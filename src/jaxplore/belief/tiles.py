@@ -70,14 +70,8 @@ def relaxed(
     smallest new value at its edge first, so most tiles are visited only a few times. Both give the
     same bits, because the sum along a path does not depend on when it is computed.
 
-    Args:
-        start: cost-to-go (..., H, W) at the sources; infinite elsewhere.
-        parts: what a sweep reads.
-        relax: one sweep.
-        margin: number of rows and columns around a node whose cost-to-go the sweep reads, at most
-            the side of a tile; static.
-        numbers: further arguments of a sweep.
-        tiling: how the CPU relaxes; static.
+    `start` is infinite outside the sources. A sweep, `relax`, reads `parts`, `numbers` and the
+    cost-to-go up to `margin` rows and columns around a node, at most the side of a tile; static.
     """
     outline = Outline(
         (jnp.inf, *(each.outside for each in parts)), (margin, *(each.margin for each in parts))
@@ -99,14 +93,7 @@ def relaxed(
 def relaxed_everywhere(
     given: Sequence[Array], outline: Outline, relax: Relax, tiling: Tiling
 ) -> Array:
-    """Relax all nodes at once until none changes.
-
-    Args:
-        given: cost-to-go, parts and numbers of `relaxed`.
-        outline: their values off the map, and their margins; static.
-        relax: one sweep.
-        tiling: sweeps between two checks; static.
-    """
+    """Relax all nodes at once until none changes; see `relaxed`."""
     number = len(outline.outside)
     first, *others = (
         jnp.pad(each, _around(each, margin), constant_values=outside)
@@ -120,14 +107,7 @@ def relaxed_everywhere(
 def relaxed_by_tiles(
     given: Sequence[Array], outline: Outline, relax: Relax, tiling: Tiling
 ) -> Array:
-    """Relax tile by tile until no tile has a neighbour that changed since its last visit.
-
-    Args:
-        given: cost-to-go, parts and numbers of `relaxed`.
-        outline: their values off the map, and their margins; static.
-        relax: one sweep.
-        tiling: how; static.
-    """
+    """Relax tile by tile until no tile has a neighbour that changed since its last visit."""
     number, side, margin = len(outline.outside), tiling.side, outline.margins[0]
     height, width = given[0].shape[-2:]
     rows, columns = -(-height // side), -(-width // side)

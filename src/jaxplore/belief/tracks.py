@@ -412,13 +412,11 @@ def beam_ends(sensor: Sensor, scan: Scan, pose: Pose) -> Float[Array, "B 2"]:
 def is_unexplained(
     tracks: Tracks, clearance: ScalarField, points: Float[Array, "P 2"]
 ) -> Bool[Array, " P"]:
-    """Check which points (P,) the map does not explain: those in space that it knows to be free, or
+    """Check which points [m] the map does not explain: those in space that it knows to be free, or
     knew to be free a little while ago.
 
-    Args:
-        tracks: the tracks, with the former maps.
-        clearance: distance to the nearest cell that is not known to be free [m].
-        points: (P, 2) points [m].
+    `clearance` is the distance to the nearest cell that is not known to be free [m]. `tracks` have
+    the former maps.
     """
     room = jax.vmap(clearance)(points)
     for values in () if tracks.former is None else tracks.former:

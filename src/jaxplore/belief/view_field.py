@@ -83,13 +83,9 @@ def time_near(
 ) -> Float[Array, "A D H W"]:
     """Return the time near each node with each sector in view, with the last one added [s].
 
-    Args:
-        before: the time before.
-        distance: distance of each node from the robot [m].
-        in_view: share of each sector in view at each heading.
-        heading: heading of the robot [rad].
-        elapsed: time since `before` [s].
-        memory: time constant with which it is forgotten [s].
+    `distance` is that of each node from the robot [m], and `in_view` the share of each sector in
+    view at each heading. `elapsed` is the time since `before`, and `memory` the time constant with
+    which the time is forgotten [s].
     """
     near = jnp.clip(2.0 - distance / NEAR, 0.0, 1.0)
     number = len(in_view)

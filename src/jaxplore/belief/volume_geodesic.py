@@ -18,21 +18,17 @@ def volume_geodesic(
 
         d(n) = min( source(n), min over neighbours m of d(m) + |n - m| (s(n) + s(m)) / 2 )
 
-    A step is possible if both nodes and the point half-way between them are open. The values are
-    those of Dijkstra's algorithm. They are found by sweeps along the three axes, back and forth,
-    until nothing changes: a straight path takes one sweep, however long it is.
+    Lengths and costs are in node spacings. `source` is infinite where no path may end, and the
+    slowness s is > 0. The cost is infinite without a path and at closed nodes.
+
+    A step is possible if both nodes and the point half-way between them are open. `half_open` are
+    the open points of the lattice with half the spacing, (2 D - 1, 2 H - 1, 2 W - 1), with the
+    nodes at even indices. The values are those of Dijkstra's algorithm. They are found by sweeps
+    along the three axes, back and forth, until nothing changes: a straight path takes one sweep,
+    however long it is.
 
     Source: Zhao, "A fast sweeping method for eikonal equations", Mathematics of Computation 2004,
     for the order of the updates.
-
-    Args:
-        source: cost at the nodes where paths may end; infinite elsewhere.
-        slowness: cost of a unit of length at each node, > 0.
-        half_open: which points of the lattice with half the spacing are open: (2 D - 1, 2 H - 1,
-            2 W - 1), with the nodes at even indices.
-
-    Returns:
-        The costs, in node spacings; infinite without a path and at closed nodes.
     """
     is_open = half_open[::2, ::2, ::2]
     start = jnp.where(is_open, source, jnp.inf)

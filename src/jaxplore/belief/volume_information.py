@@ -30,16 +30,10 @@ def renewed_information(
     changed [nat m^3].
 
     It is the information of each voxel times its volume, so that it does not depend on the
-    resolution.
-
-    Args:
-        table: the rays; its viewpoints are every `table.stride`-th voxel, from the second one on.
-        model: inverse sensor model.
-        occupancy_prior: probability of occupancy of an unknown voxel.
-        states: states of the coarser voxels.
-        side: side of a coarser voxel [m].
-        changed: columns with a voxel that has changed since `before`.
-        before: the information before.
+    resolution. The viewpoints of the table are every `table.stride`-th voxel, from the second one
+    on. `occupancy_prior` is the probability of occupancy of an unknown voxel. `states` are those of
+    the coarser voxels, with a side of `side` [m]. `changed` are the columns with a voxel that has
+    changed since `before`.
     """
     depth, rows, columns = before.shape[1:]
     tile, reach, stride = (_side(rows), _side(columns)), table.reach, table.stride
@@ -69,6 +63,5 @@ def renewed_information(
 
 
 def _side(number: int) -> int:
-    """Return the side of the tiles that cover a number of nodes, with as little overlap as can
-    be."""
+    """Return the side of tiles that cover a number of nodes with as little overlap as can be."""
     return -(-number // -(-number // TILE))

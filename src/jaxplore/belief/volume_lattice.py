@@ -14,12 +14,9 @@ NODE = 2
 def volume_lattice(
     grid: VoxelGrid, pool: int
 ) -> tuple[tuple[int, int, int], Float[Array, "3"], float]:
-    """Return the numbers of nodes along z, y and x, the first node (x, y, z) [m], and the spacing
-    [m].
+    """Return the numbers of nodes along z, y and x, the first node (x, y, z), and the spacing [m].
 
-    Args:
-        grid: the map.
-        pool: voxels on a side of a coarser one; static.
+    `pool` is the number of voxels on a side of a coarser one; static.
     """
     coarse = [-(-size // pool) for size in grid.shape]
     depth, height, width = (max(1, (size - 2) // NODE + 1) for size in coarse)
@@ -28,11 +25,6 @@ def volume_lattice(
 
 
 def blank_field(grid: VoxelGrid, pool: int) -> VolumeField:
-    """Return a cost-to-go that is 0 at every node.
-
-    Args:
-        grid: the map.
-        pool: voxels on a side of a coarser one; static.
-    """
+    """Return a cost-to-go that is 0 at every node of `volume_lattice`."""
     shape, origin, spacing = volume_lattice(grid, pool)
     return VolumeField(jnp.zeros(shape), origin, spacing, jnp.asarray(FAR))

@@ -45,8 +45,7 @@ class VolumeRoads(eqx.Module):
     def lengths(self, source: Float[Array, "D H W"]) -> Float[Array, "D H W"]:
         """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
 
-        Args:
-            source: cost at the nodes where paths may end [m]; infinite elsewhere.
+        `source` is the cost at the nodes where paths may end [m]; infinite elsewhere.
         """
         return volume_geodesic(source / self.spacing, self.slowness, self.half_open) * self.spacing
 

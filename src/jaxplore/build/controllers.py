@@ -43,12 +43,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 def build_controller(
     settings: Settings, world: RunWorld, scenario: ExplorationScenario
 ) -> Controller:
-    """Build the controller of an architecture.
-
-    Args:
-        settings: settings of the run.
-        world: world of the run.
-        scenario: scenario of the run.
+    """Build the controller of the architecture that settings name.
 
     Raises:
         ValueError: an architecture that the world does not allow, settings that a part rejects, or

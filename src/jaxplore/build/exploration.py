@@ -41,14 +41,8 @@ from jaxplore.simulation.scenario import Scenario
 def build_exploration(settings: Settings, map_shape: tuple[int, int] | None = None) -> Experiment:
     """Build the experiment that settings describe.
 
-    Args:
-        settings: settings of the run.
-        map_shape: rows and columns of the arrays of the map, see `OccupancyGrid.padded`; chosen
-            when absent. The run does not depend on it, but runs of one shape share a program.
-
-    Raises:
-        ValueError: a map that cannot be read, a start that is not possible, or settings that a part
-            rejects.
+    `map_shape` are the rows and columns of the map's arrays, see `OccupancyGrid.padded`; they are
+    chosen when None. The run does not depend on them, but runs of one shape share a program.
     """
     robot = build_robot(settings.robot)
     world = build_world(settings, float(robot.radius))
@@ -59,16 +53,7 @@ def build_exploration(settings: Settings, map_shape: tuple[int, int] | None = No
 
 
 def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment:
-    """Build the experiment that settings describe in a world that is given.
-
-    Args:
-        settings: settings of the run; those of the map are not read.
-        robot: the robot.
-        world: the world.
-
-    Raises:
-        ValueError: a start that is not possible, or settings that a part rejects.
-    """
+    """Build the experiment that settings describe in a given world; their map is not read."""
     scenario = build_scenario(settings, robot, world)
     controller = build_controller(settings, world, scenario)
     controller = set_parameters(controller, settings.parameters)
@@ -166,14 +151,8 @@ def _perception(
 def with_start(entries: dict[str, Any]) -> dict[str, Any]:
     """Return settings entries with a start, where neither they nor the map have one.
 
-    It is the position with the greatest clearance, heading along x.
-
-    Args:
-        entries: names and values of settings, as in a settings file.
-
-    Raises:
-        ValueError: entries that are not accepted, a map that cannot be read or has no place for
-            the robot.
+    It is the position with the greatest clearance, heading along x. A map without a place for the
+    robot raises a ValueError.
     """
     settings = make_exploration_settings(entries)
     if settings.start is not None or not is_ros_map(settings):
@@ -187,12 +166,6 @@ def compared_architectures(entries: dict[str, Any]) -> tuple[str, ...]:
 
     A portfolio is compared with the explorer. Otherwise the quadrotor architectures that the map
     allows are compared.
-
-    Args:
-        entries: names and values of settings, as in a settings file.
-
-    Raises:
-        ValueError: entries that are not accepted, a map that cannot be read.
     """
     if make_exploration_settings(entries).architecture == "portfolio":
         return ("explorer", "portfolio")

@@ -40,12 +40,8 @@ def build_fleet(
 ) -> tuple[FleetController, Fleet]:
     """Build the controller and the scenario of a fleet of equal robots.
 
-    Args:
-        given: settings of the fleet.
-        settings: settings of the run.
-        scenario: exploration of one robot.
-        controller: its controller.
-        datum: point of the map's coordinates to which all positions are relative.
+    The scenario and the controller that are given are those of one robot. All positions of the
+    fleet are relative to the datum.
 
     Raises:
         ValueError: a target that a fleet does not end by, more robots than there is room for,

@@ -25,11 +25,7 @@ def build_localisation(
 ) -> Localisation | None:
     """Build what lets a robot find its pose; None for one that knows it.
 
-    Args:
-        settings: settings of the run.
-        sensor: the first sensor.
-        resolution: side of a cell of the map [m].
-        is_map_known: whether the robot knows a map in advance.
+    The sensor is the first one, and `resolution` is the side of a cell of the map [m].
 
     Raises:
         ValueError: particles without a known map, or with a bound of the uncertainty.
@@ -81,9 +77,7 @@ def _odometry(given: LocalisationSettings, model: str) -> OdometryModel:
 def uncertain_robot(scenario: ExplorationScenario, rate: float) -> UncertainRobot | None:
     """Return the robot with the variance of its position; None if plans do not know it.
 
-    Args:
-        scenario: scenario of the run.
-        rate: rate of scans [Hz].
+    `rate` is that of the scans [Hz].
     """
     known = scenario.localisation
     if known is None or known.certainty is None:

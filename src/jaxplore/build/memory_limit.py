@@ -17,10 +17,7 @@ def default_limit(root: Path = _ROOT) -> float:
     It is `SHARE` of the least of the memory that Linux says is available, and of what is left of
     the memory limit of the control group (version 1 or 2) and of each that holds it. Where the
     system does not say what is available, it is that share of the memory of the machine; infinite
-    if that is unknown as well.
-
-    Args:
-        root: root of the file system, for tests.
+    if that is unknown as well. Tests give another `root` of the file system.
     """
     return SHARE * min([_available(root), *_left_in_groups(root)])
 

@@ -70,13 +70,7 @@ _MEMBERS = 4
 
 
 class Part(NamedTuple):
-    """What a part of a run needs.
-
-    Args:
-        name: the part in words, such as "fields".
-        settings: settings with which it grows.
-        size: memory [bytes].
-    """
+    """A part of a run, named in words: its memory [bytes], and the settings with which it grows."""
 
     name: str
     settings: str
@@ -84,13 +78,9 @@ class Part(NamedTuple):
 
 
 class MapSize(NamedTuple):
-    """Size of the map of a run.
+    """Rows and columns of the map of a run, and the side of a cell [m].
 
-    Args:
-        rows: rows of cells.
-        columns: columns of cells.
-        resolution: side of a cell [m].
-        pixels: pixels of its image; 0 without one.
+    `pixels` is the number of pixels of its image; 0 without one.
     """
 
     rows: float
@@ -104,10 +94,8 @@ def needs(
 ) -> tuple[Part, ...]:
     """Return what a run needs, part by part.
 
-    Args:
-        settings: checked settings.
-        node: those of a drive, whose robot makes a map of its own; None for a simulation.
-        limit: greatest memory [bytes], half of which reading a file may take.
+    `node` holds the settings of a drive, whose robot makes a map of its own; None for a simulation.
+    `limit` is the greatest memory [bytes], half of which reading a file may take.
 
     Raises:
         ValueError: a map, a world or a volume that cannot be read, or not within the memory.
@@ -130,13 +118,7 @@ def needs(
 def check_needs(
     parts: tuple[Part, ...], limit: float, *, num_runs: int = 1, batch: int = 1
 ) -> None:
-    """Check that runs need no more memory than there may be.
-
-    Args:
-        parts: what a run needs.
-        limit: greatest memory [bytes].
-        num_runs: number of processes with runs.
-        batch: number of runs in each of them, in one program.
+    """Check that `num_runs` processes, with `batch` runs each, need at most `limit` bytes.
 
     Raises:
         ValueError: they need more; one line that names the greatest part and its settings.

@@ -40,13 +40,8 @@ NO_PART = (
 def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettings]:
     """Check settings entries of a node: those of a run, and the section `node`.
 
-    Args:
-        entries: names and values of settings, as in a settings file; those that describe a
-            simulated world are not read.
-
-    Raises:
-        ValueError: an unknown name or a value that is not accepted, such as a pose of its own for
-            a node that chooses goals.
+    Entries that describe a simulated world are not read. A node that chooses goals must get its
+    pose from another program.
     """
     run, node = part_node(entries)
     given = {name: value for name, value in run.items() if name not in NO_PART}
@@ -71,14 +66,9 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
 
 
 def check_no_mount(settings: Settings, others: str) -> None:
-    """Check that settings have no mount of the lidar of a compiled simulation.
+    """Check that settings neither move the lidar from the robot's centre nor turn it.
 
-    Args:
-        settings: the settings.
-        others: what says where the lidar is instead.
-
-    Raises:
-        ValueError: a place of the lidar beside the robot's centre, or one that turns.
+    Those settings are for `jaxplore run`. `others` names what says where the lidar is instead.
     """
     for name in ("x", "y", "yaw_degrees", "is_turning"):
         value = getattr(settings.lidar, name)
@@ -90,11 +80,7 @@ def check_no_mount(settings: Settings, others: str) -> None:
 
 
 def build_goal_chooser(settings: Settings) -> GoalChooser:
-    """Build the chooser of goals that settings describe.
-
-    Raises:
-        ValueError: settings that a part rejects.
-    """
+    """Build the chooser of goals. An architecture of the user's own must be a rule."""
     robot = build_robot(settings.robot)
     perception = Perception(
         build_sensors(settings),
@@ -119,14 +105,11 @@ def build_goal_chooser(settings: Settings) -> GoalChooser:
 def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = True) -> Pilot:
     """Build the pilot that settings describe.
 
-    Args:
-        settings: settings of the robot, its lidar, the controller and the rates.
-        node: settings of the node.
-        is_obeyed: whether the robot executes the commands; not in a replay.
+    `is_obeyed` says whether the robot executes the commands; it does not in a replay.
 
     Raises:
-        ValueError: settings that a part rejects, a robot that flies, or a localisation of whose
-            uncertainty plans shall know.
+        ValueError: settings that a part rejects, a robot that flies, or a localisation that is not
+            by matching or of whose uncertainty plans shall know.
     """
     localisation, settings = _localisation(settings, node)
     robot = build_robot(settings.robot)

@@ -25,12 +25,7 @@ _ROBOT = "a Dynamics, a class or an instance"
 def own_robot(name: str) -> Dynamics:
     """Return the robot that the setting `robot.model` names.
 
-    Args:
-        name: MODULE:NAME of a `jaxplore.Dynamics`, a class or an instance.
-
-    Raises:
-        ValueError: a module that cannot be imported, a name that it does not have, or something
-            else than a robot.
+    `name` is MODULE:NAME of a `jaxplore.Dynamics`, a class or an instance.
     """
     found = _made("robot.model", name, Dynamics)
     if not isinstance(found, Dynamics):
@@ -41,13 +36,7 @@ def own_robot(name: str) -> Dynamics:
 def own_rule(name: str) -> TargetRule | None:
     """Return the rule that the setting `architecture` names; None if it names a function.
 
-    Args:
-        name: MODULE:NAME of a `jaxplore.planning.TargetRule`, a class or an instance, or of a
-            function.
-
-    Raises:
-        ValueError: a module that cannot be imported, a name that it does not have, or something
-            else than a rule or a function.
+    `name` is MODULE:NAME of a function or of a `jaxplore.planning.TargetRule`, class or instance.
     """
     found = _made("architecture", name, TargetRule)
     if isinstance(found, TargetRule):
@@ -60,12 +49,7 @@ def own_rule(name: str) -> TargetRule | None:
 def own_controller(name: str, scenario: Scenario) -> Controller:
     """Return the controller that the function makes which the setting `architecture` names.
 
-    Args:
-        name: MODULE:NAME of a function from a scenario to a controller.
-        scenario: scenario of the run.
-
-    Raises:
-        ValueError: a function that fails, or that returns something else.
+    A function that fails, or that returns something else, raises a ValueError.
     """
     controller = _called("architecture", name, _find("architecture", name), scenario)
     if not isinstance(controller, Controller):
@@ -76,11 +60,7 @@ def own_controller(name: str, scenario: Scenario) -> Controller:
 
 
 def own_code(settings: RunSettings) -> str:
-    """Return a hash of the files of the modules that settings name; empty if they name none.
-
-    Raises:
-        ValueError: a module that cannot be imported.
-    """
+    """Return a hash of the files of the modules that settings name; empty if they name none."""
     values: dict[str, Any] = {
         "architecture": getattr(settings, "architecture", None),
         "robot.model": getattr(getattr(settings, "robot", None), "model", None),

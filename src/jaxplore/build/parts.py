@@ -52,14 +52,8 @@ from jaxplore.simulation.variation import Variation
 def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:
     """Build the model of the robot.
 
-    Args:
-        given: settings of the robot.
-        integrator: integrator of a car or of a robot on driven wheels; the model's default when
-            absent. A model of the user's own has its own.
-
-    Raises:
-        ValueError: a car that is shorter than its wheelbase, a value that the model rejects, or a
-            model of the user's own that is none.
+    `integrator` is that of a car or of a robot on driven wheels; the model's default when None. A
+    model of the user's own has its own.
     """
     if is_own(given.model):
         return own_robot(given.model)
@@ -127,13 +121,7 @@ def build_chassis(
 ) -> Chassis | None:
     """Build the wheels and the centre of mass of the robot; None for one that cannot tip over.
 
-    Args:
-        given: settings of the chassis.
-        robot: settings of the robot.
-        radius: radius of the discs that cover it [m].
-
-    Raises:
-        ValueError: a chassis of a robot that flies.
+    `radius` is that of the discs that cover it [m]. A robot that flies has no chassis.
     """
     if given is None:
         return None
@@ -159,15 +147,7 @@ def build_recognition(given: DetectorSettings | None) -> Recognition | None:
 
 
 def build_faults(given: FaultSettings, datum: Datum = ORIGIN) -> Faults | None:
-    """Build the injected faults; none at all by default, which leaves them out of the program.
-
-    Args:
-        given: settings of the faults.
-        datum: point of the map's coordinates to which positions are relative.
-
-    Raises:
-        ValueError: a pose to be carried to without a time.
-    """
+    """Build the injected faults; none at all by default, which leaves them out of the program."""
     injected = arguments(given, Faults)
     if injected == arguments(FaultSettings(), Faults):
         return None
@@ -177,12 +157,7 @@ def build_faults(given: FaultSettings, datum: Datum = ORIGIN) -> Faults | None:
 
 
 def build_variation(given: VariationSettings) -> Variation | None:
-    """Build the variation of the robot; none at all by default, which leaves it out of the
-    program.
-
-    Raises:
-        ValueError: an interval whose low end is above its high one.
-    """
+    """Build the robot's variation; none at all by default, which leaves it out of the program."""
     parameters, drawn = given.parameters, arguments(given, Variation)
     if not parameters and drawn == arguments(VariationSettings(), Variation):
         return None
@@ -199,9 +174,7 @@ _RULES: dict[str, Callable[..., HorizonRule]] = {
 def with_adaptive_horizon(controller: Controller, given: AdaptiveHorizonSettings) -> Controller:
     """Return a controller that chooses its horizon in each step, if settings name a rule.
 
-    Raises:
-        ValueError: a controller that has no single horizon, a least number of steps above the
-            horizon, equal values for both ends.
+    The controller must be one MPPI, with a horizon of at least `min_horizon` steps.
     """
     if given.rule is None:
         return controller

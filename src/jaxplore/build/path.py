@@ -28,11 +28,7 @@ from jaxplore.simulation.following.traffic import Traffic
 
 
 def build_path_following(settings: PathSettings) -> Experiment:
-    """Build the experiment that settings describe.
-
-    Raises:
-        ValueError: a file that cannot be read, or a value that a part rejects.
-    """
+    """Build the experiment that settings describe."""
     datum = ORIGIN if settings.path == TRACK else path_datum(settings.path)
     path = _path(settings, datum)
     traffic, standing = _traffic(settings, path), _standing(settings, datum)

@@ -15,16 +15,11 @@ from jaxplore.simulation.experiment import Experiment
 
 
 class Task(NamedTuple):
-    """A kind of task.
+    """A kind of task: the class of its settings, and functions of entries and settings.
 
-    Args:
-        selector: setting that names the map or path; its presence in the entries selects this kind.
-        settings: class of its settings.
-        check: function from entries to checked settings.
-        build: function from settings to an experiment.
-        architectures: function from entries to the architectures to compare by default; none for
-            a task without architectures.
-        with_start: function from entries to entries with a start, where a map has none.
+    Entries that have the setting `selector`, which names the map or path, are of this kind.
+    `architectures` returns those to compare by default; none for a task without architectures.
+    `with_start` adds a start to entries where a map has none.
     """
 
     selector: str
@@ -73,9 +68,6 @@ def make_settings(entries: dict[str, Any]) -> RunSettings:
     Entries with a `path`, or with the map `path`, describe path following, those with a `volume`
     the exploration of a volume, and all others that of a plane.
 
-    Args:
-        entries: names and values of settings, as in a settings file.
-
     Raises:
         ValueError: a path or a volume beside a map, an unknown name or a value that is not
             accepted; one line that names it.
@@ -85,11 +77,7 @@ def make_settings(entries: dict[str, Any]) -> RunSettings:
 
 
 def find_task(entries: dict[str, Any]) -> Task:
-    """Return the kind of task that entries describe; see `make_settings`.
-
-    Raises:
-        ValueError: a path or a volume beside a map.
-    """
+    """Return the kind of task that entries describe; see `make_settings`."""
     entries = _with_selector(entries)
     named = [task for task in TASKS.values() if task.selector in entries]
     if len(named) > 1:
@@ -99,8 +87,7 @@ def find_task(entries: dict[str, Any]) -> Task:
 
 
 def _with_selector(entries: dict[str, Any]) -> dict[str, Any]:
-    """Return entries whose map `path` has become the path `track`, and the word for a volume as the
-    map the volume."""
+    """Replace the map `path` by the path `track`, and a map named like a volume by that volume."""
     name = entries.get("map")
     # Beside a `world`, `map` is a free name and selects nothing.
     if not isinstance(name, str) or entries.get("world") is not None:

@@ -49,12 +49,7 @@ _YAW = 0.6
 
 
 def build_volume(settings: VolumeSettings) -> Experiment:
-    """Build the experiment that settings describe.
-
-    Raises:
-        ValueError: a file that cannot be read, a start that is not possible, or settings that a
-            part rejects.
-    """
+    """Build the experiment that settings describe."""
     world, datum = build_world(settings)
     robot = Quadrotor(**arguments(settings.robot, Quadrotor))
     sensors = build_sensors(settings)
@@ -87,11 +82,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
 
 
 def build_world(settings: VolumeSettings) -> tuple[VoxelGrid, Datum]:
-    """Build the true world of a run, and return it with the datum to which it is relative.
-
-    Raises:
-        ValueError: a file that cannot be read.
-    """
+    """Build the true world of a run, and return it with the datum to which it is relative."""
     kind = GENERATED.get(settings.volume)
     if kind is None:
         # A file is read for the estimate of the memory, for the start, and for the run: once.
@@ -157,14 +148,7 @@ def volume_size(
 ) -> tuple[tuple[int, int, int], float]:
     """Return the numbers of voxels of a run's volume along z, y and x, and their side [m].
 
-    A file is read for them, and no voxels are made.
-
-    Args:
-        settings: settings of the run.
-        memory: memory that reading a file may take [bytes].
-
-    Raises:
-        ValueError: a file that cannot be read, or not within the memory.
+    A file is read for them with at most `memory` [bytes], and no voxels are made.
     """
     if settings.volume not in GENERATED:
         return _size(min(memory, MEMORY), *_key(settings))
@@ -183,11 +167,7 @@ def _generated_size(settings: VolumeSettings) -> tuple[float, float, float]:
 
 
 def build_sensors(settings: VolumeSettings) -> tuple[VolumeSensor, ...]:
-    """Build the sensors; the camera is the first one.
-
-    Raises:
-        ValueError: no sensor at all.
-    """
+    """Build the sensors, at least one; the camera is the first one."""
     sensors: list[VolumeSensor] = []
     camera, lidar = settings.camera, settings.lidar
     # `arguments` returns angles in degrees, as settings have them.
@@ -251,11 +231,7 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
 def _start(
     settings: VolumeSettings, world: VoxelGrid, robot: Quadrotor, datum: Datum
 ) -> tuple[float, float, float, float]:
-    """Return the start (x, y, z, yaw) of a run, relative to a datum [m, m, m, rad].
-
-    Raises:
-        ValueError: a volume without a place for the robot.
-    """
+    """Return the start (x, y, z, yaw) of a run, relative to a datum [m, m, m, rad]."""
     if settings.start is not None:
         x, y, z, yaw = datum.to_local(settings.start).tolist()
         return x, y, z, yaw
@@ -278,14 +254,8 @@ def _start(
 def with_start(entries: dict[str, Any]) -> dict[str, Any]:
     """Return settings entries with a start, where neither they nor the volume have one.
 
-    It is the position with the greatest clearance, heading along x.
-
-    Args:
-        entries: names and values of settings, as in a settings file.
-
-    Raises:
-        ValueError: entries that are not accepted, a file that cannot be read or has no place for
-            the robot.
+    It is the position with the greatest clearance, heading along x. A volume without a place for
+    the robot raises a ValueError.
     """
     settings = make_volume_settings(entries)
     if settings.start is not None or settings.volume in GENERATED:

@@ -24,21 +24,11 @@ only."""
 class RunWorld(NamedTuple):
     """The true world of a run, the start and the goal, and the map known in advance.
 
-    All positions are relative to the datum.
-
-    Args:
-        grid: true map.
-        start: start pose (x, y, yaw) [m, m, rad].
-        prior: map that is known in advance; nothing when absent.
-        goal: goal position (x, y) or (x, y, z) [m].
-        zones: rectangles that are unknown in advance [m].
-        ground: terrain; level when absent.
-        targets: positions (x, y) of the targets [m].
-        movers: moving obstacles.
-        forbidden: rectangles in which nobody may be [m].
-        planted: what differs from the prior map.
-        objects: objects other than the targets.
-        datum: point of the map's coordinates; (0, 0) unless the map is far away.
+    All positions are relative to the datum, which is (0, 0) unless the map is far away. The start
+    is a pose (x, y, yaw) [m, m, rad], the goal a position (x, y) or (x, y, z) [m]. Nothing is known
+    in advance without a `prior`, and the rectangles `zones` [m] are unknown in any case. Terrain is
+    level without a `ground`. Nobody may be in the rectangles `forbidden` [m]. `planted` is what
+    differs from the prior map, and `objects` are those other than the targets.
     """
 
     grid: OccupancyGrid
@@ -56,11 +46,7 @@ class RunWorld(NamedTuple):
 
 
 def build_world(settings: Settings, radius: float) -> RunWorld:
-    """Build the world of a run.
-
-    Args:
-        settings: settings of the run.
-        radius: radius of the robot [m], which must fit where the start is chosen.
+    """Build the world of a run. A robot of a radius [m] must fit where the start is chosen.
 
     Raises:
         ValueError: a map, world or height map that cannot be read; a start that is not given, on a

@@ -267,11 +267,7 @@ for command in (map_log, node, replay, robot):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line. Bad input gives one line on stderr and exit code 2.
-
-    Args:
-        arguments: command-line arguments; those of the process when absent.
-    """
+    """Run the command line. Bad input gives one line on stderr and exit code 2."""
     shown_by_python = warnings.showwarning
     warnings.showwarning = warning_printer()
     try:

@@ -46,9 +46,6 @@ def run_comparison(
     """Compare variants, write the folder of the comparison and print its tables.
 
     With --maps the exit code is 1 if runs failed, and 130 if the user stopped it.
-
-    Raises:
-        ValueError: options that are not accepted.
     """
     pictures = take_pictures(options)
     limit = memory_limit(options)
@@ -206,8 +203,7 @@ def _on_maps(
 def _default_folder(maps: Path) -> Path:
     """Return the default folder for the results of a folder of maps.
 
-    Raises:
-        ValueError: a folder with the default name of former versions exists.
+    If only one with the default name of former versions exists, it raises a `ValueError`.
     """
     name = os.path.basename(os.path.realpath(maps))
     folder, former = Path("runs") / f"{name}-comparison", Path("runs") / f"{name}-benchmark"

@@ -47,14 +47,7 @@ _OF_BOTH = (
 
 
 def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert options to settings entries.
-
-    Args:
-        options: values of the options of `with_options` and `path_options`.
-
-    Raises:
-        ValueError: a path beside a map, an option that does not apply, a file that cannot be read.
-    """
+    """Convert values of the options of `with_options` and `path_options` to settings entries."""
     given = dict(options)
     settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
     trust = given.pop("trust", False)
@@ -130,8 +123,7 @@ def folder_name(entries: Mapping[str, Any]) -> str:
 def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
     """Return settings entries for a map, a world or a scenario, given by its file or name.
 
-    Raises:
-        ValueError: a file that is missing, or that names code and is not trusted.
+    A file that names code must be trusted.
     """
     name = spelled(name, SCENARIOS)
     if name in (OFFICE, ZONES, *SCENARIOS):
@@ -165,11 +157,7 @@ def _check_file(path: Path) -> None:
 
 
 def assign(entries: dict[str, Any], name: str, value: Any) -> None:
-    """Set one setting by its dotted name.
-
-    Raises:
-        ValueError: a name within a setting that is not a section.
-    """
+    """Set one setting by its dotted name; sections that are missing are made."""
     *sections, last = name.split(".")
     for section in sections:
         inner = entries.setdefault(section, {})
@@ -180,12 +168,7 @@ def assign(entries: dict[str, Any], name: str, value: Any) -> None:
 
 
 def assign_all(entries: dict[str, Any], assignments: Sequence[str]) -> None:
-    """Set the settings of the `--set` options, NAME=VALUE each.
-
-    Raises:
-        ValueError: a text without an assignment, a value that is not YAML, a name within a setting
-            that is not a section.
-    """
+    """Set the settings of the `--set` options, NAME=VALUE each, with values in YAML."""
     for assignment in assignments:
         name, separator, text = assignment.partition("=")
         if not separator:

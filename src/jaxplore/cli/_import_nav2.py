@@ -15,15 +15,8 @@ def import_nav2(
 ) -> None:
     """Write settings, and name the parameters without a counterpart.
 
-    Args:
-        file: parameter file of nav2.
-        out: settings file to write; standard output when absent.
-        task: kind of run that the settings are for.
-        controller: name of the controller in the file, if there are several.
-        overwrite: whether an existing settings file is replaced.
-
-    Raises:
-        ValueError: a parameter file that is not accepted, or a settings file that exists.
+    Without `out` the settings go to standard output. `controller` is the name of the controller in
+    the file, if there are several.
     """
     found = read_nav2(file, task, controller)
     text = _as_yaml(found, file)

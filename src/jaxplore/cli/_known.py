@@ -18,18 +18,11 @@ FILE = Path(__file__).with_name("known.json")
 class Known(NamedTuple):
     """What the help and the completions show of settings and pictures.
 
-    Args:
-        settings: dotted names of all settings; with the default of ground robots and that of
-            quadrotors for settings of exploration that have one.
-        words: accepted words of the settings that accept some.
-        sections: names of the sections of settings.
-        places: names that stand for a map, a scenario or a path.
-        baselines: names of the rule-based explorers.
-        optimizers: names of the optimizers of a search.
-        population: default number of candidates in a generation of a search.
-        fps: default number of frames per second of a film.
-        film_scale: default factor on the size of a film.
-        figures: formats of figures, the default first.
+    `settings` has the dotted names of all settings. Those of exploration that have a default have
+    that of ground robots and that of quadrotors. `words` has the accepted words of the settings
+    that accept some. `places` are names that stand for a map, a scenario or a path. `baselines` are
+    the rule-based explorers. `population`, `fps`, `film_scale` and the first of `figures` are
+    defaults.
     """
 
     settings: dict[str, list[Any]]

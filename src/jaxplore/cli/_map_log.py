@@ -32,13 +32,10 @@ MOST_SEED = 2**32 - 1
 class MapLogOptions(NamedTuple):
     """Options of the command.
 
-    Args:
-        resolution: side of a cell [m]; by the scans when absent.
-        max_range: range beyond which readings are not used [m].
-        field_of_view: angle between the outermost beams [rad]; by their number when absent.
-        drift_seed: seed of made-up drift; the odometry of the log when absent.
-        assignments: NAME=VALUE of errors of the odometry.
-        overwrite: whether a former folder is replaced.
+    When absent, `resolution` [m] follows from the scans, and `field_of_view`, the angle between the
+    outermost beams [rad], from their number. Readings beyond `max_range` [m] are not used.
+    `drift_seed` is that of made-up drift, which replaces the odometry of the log; None for that
+    odometry. `assignments` are NAME=VALUE of errors of the odometry.
     """
 
     resolution: float | None
@@ -50,16 +47,7 @@ class MapLogOptions(NamedTuple):
 
 
 def map_a_log(file: Path, out: Path | None, options: MapLogOptions) -> None:
-    """Map a log, write the folder and print the metrics.
-
-    Args:
-        file: the log.
-        out: folder to write; by the name of the log when absent.
-        options: options of the command.
-
-    Raises:
-        ValueError: a log or an option that is not accepted, a folder that exists.
-    """
+    """Map a log, write the folder, by default named after the log, and print the metrics."""
     seed, given = options.drift_seed, options.assignments
     if seed is not None:
         seed = _checks.whole_number("--drift-seed", seed, at_least=0, at_most=MOST_SEED)
@@ -138,11 +126,7 @@ def _write(mapped: LogMap, metrics: dict[str, object], folder: Path, *, overwrit
 
 
 def _odometry(usual: Odometry, assignments: Sequence[str]) -> Odometry:
-    """Return an odometry with the errors that `--set` names in place of its own.
-
-    Raises:
-        ValueError: no such error, or something else than a standard deviation.
-    """
+    """Return an odometry with the standard deviations that `--set` names in place of its own."""
     values = {field.name: getattr(usual, field.name) for field in dataclasses.fields(usual)}
     for assignment in assignments:
         name, _, text = assignment.partition("=")

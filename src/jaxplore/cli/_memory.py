@@ -23,11 +23,7 @@ memory_option = click.option(
 
 
 def memory_limit(options: dict[str, Any]) -> float:
-    """Take the option from all options, and return the limit [bytes].
-
-    Raises:
-        ValueError: a limit that is not positive.
-    """
+    """Take the option from all options, and return the limit [bytes]."""
     given = options.pop("memory_limit")
     if given is None:
         # Imported here, so that the help needs no JAX.
@@ -48,18 +44,10 @@ def check_memory(
     batch: int = 1,
     must_be_readable: bool = True,
 ) -> None:
-    """Check that each of several runs fits into the memory.
+    """Check that each of several runs fits into a memory of `limit` [bytes].
 
-    Args:
-        runs: settings of the runs.
-        limit: greatest memory [bytes].
-        node: settings of a drive; None for a simulation.
-        num_runs: number of processes with runs.
-        batch: number of runs in each of them, in one program.
-        must_be_readable: whether a map that cannot be read is an error here.
-
-    Raises:
-        ValueError: a run that needs more; a map that cannot be read.
+    Without `node` they are simulations. Each of `num_runs` processes has `batch` runs in one
+    program. Unless `must_be_readable`, a run whose map cannot be read is not checked.
     """
     from jaxplore.build.needs import check_needs, needs
 
@@ -74,11 +62,7 @@ def check_memory(
 
 
 def check_count(name: str, value: int, most: int) -> None:
-    """Check a number of things that a command makes or runs.
-
-    Raises:
-        ValueError: less than one, or more than the greatest number.
-    """
+    """Check that a number of things that a command makes or runs is from 1 to `most`."""
     if value < 1:
         raise ValueError(f"{name} is {value}; accepted: a whole number >= 1")
     if value > most:

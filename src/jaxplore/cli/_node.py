@@ -54,9 +54,6 @@ def drive(options: dict[str, Any]) -> None:
     """Drive a robot until it is done or the user stops it, and write a run folder.
 
     The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
-
-    Raises:
-        ValueError: options that are not accepted, no ROS 2, or another node that drives the robot.
     """
     settings, node, folder = _drive_settings(options)
     if node.mode == "goal":
@@ -109,11 +106,7 @@ def drive(options: dict[str, Any]) -> None:
 
 
 def replay_bag(bag: Path, options: dict[str, Any]) -> None:
-    """Feed a recorded drive to the pilot, and write a run folder with its commands.
-
-    Raises:
-        ValueError: options that are not accepted, a bag that cannot be read.
-    """
+    """Feed a recorded drive to the pilot, and write a run folder with its commands."""
     settings, node, folder = _drive_settings(options)
     scan, pose = replay_topics(bag, options["scan_topic"], options["pose_topic"])
     pilot = build_pilot(settings, node, is_obeyed=False)
@@ -202,9 +195,6 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
     """Publish goals until no place is worth a visit, or the user stops it.
 
     The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
-
-    Raises:
-        ValueError: no ROS 2, or settings that a part rejects.
     """
     chooser = build_goal_chooser(settings)
     with connected(control.NODE, node.namespace) as link, stop_requests() as is_stopped:
@@ -226,9 +216,6 @@ def simulate_robot(options: dict[str, Any]) -> None:
     """Simulate a robot at wall-clock time, and write a run folder that judges it.
 
     The exit code is 130 if the user stopped it.
-
-    Raises:
-        ValueError: options that are not accepted, no ROS 2, or another simulated robot.
     """
     out, overwrite, animation = (options.pop(name) for name in ("out", "overwrite", "animation"))
     names = ("delay", "drift", "mount", "turning", "command_type", "has_map")

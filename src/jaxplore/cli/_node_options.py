@@ -15,11 +15,7 @@ ANIMATION = click.option("--animation/--no-animation", default=True, help="Draw 
 
 
 def _drive_options(out: str) -> tuple[Any, ...]:
-    """Return the options of settings and of the run folder.
-
-    Args:
-        out: default of the run folder.
-    """
+    """Return the options of settings and of the run folder, whose default is `out`."""
     return (
         click.option(
             "--settings",

@@ -12,9 +12,7 @@ from jaxplore.cli._known import known
 def picture_options(animation: str, *, video: bool = False) -> Callable[[Any], Any]:
     """Return a decorator that adds the options of figures and films.
 
-    Args:
-        animation: help of `--animation`.
-        video: whether the command writes a video.
+    `animation` is the help of `--animation`.
     """
     options = [
         click.option("--animation/--no-animation", default=True, help=animation),

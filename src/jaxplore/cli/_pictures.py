@@ -8,13 +8,9 @@ from jaxplore.report.drawing.film import FPS, SCALE, FilmOptions, check_film
 
 
 class Pictures(NamedTuple):
-    """What a command draws.
+    """What a command draws: animations, figures of some formats, and a further film, `video`.
 
-    Args:
-        animation: whether it draws its animations.
-        film: how films are played, and their size.
-        figures: formats of the figures.
-        video: another film to write; None without one.
+    `film` says how films are played, and their size. `video` is None without that film.
     """
 
     animation: bool
@@ -26,12 +22,7 @@ class Pictures(NamedTuple):
 def take_pictures(options: dict[str, Any], *, overwrite: bool = False) -> Pictures:
     """Remove the options of figures and films from all options, and check them.
 
-    Args:
-        options: options of a command.
-        overwrite: whether a video that exists is replaced.
-
-    Raises:
-        ValueError: a value that is not accepted, a video that exists or cannot be written.
+    A video that exists is refused unless `overwrite`.
     """
     animation, video = options.pop("animation"), options.pop("video", None)
     fps, scale = options.pop("fps"), options.pop("film_scale")

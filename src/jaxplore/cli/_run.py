@@ -25,11 +25,8 @@ SETTINGS = "settings.yaml"
 def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> None:
     """Simulate one run, write its folder and print its metrics.
 
-    The exit code is 130 if the user stopped it.
-
-    Raises:
-        ValueError: options that are not accepted; a recording that could not be written, after the
-            run folder has been.
+    The exit code is 130 if the user stopped it. A recording that could not be written raises a
+    `ValueError` after the run folder has been written.
     """
     pictures = take_pictures(options, overwrite=overwrite)
     limit = memory_limit(options)
@@ -109,12 +106,8 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
 def _workers(settings: Any, beside: Mapping[str, Path | bool | None]) -> int:
     """Return the number of workers among which the robots of a fleet are divided; 1 for none.
 
-    Args:
-        settings: settings of the run.
-        beside: options that need the robots in one process, with None for what is not given.
-
-    Raises:
-        ValueError: more workers than robots; one of the options beside them.
+    `beside` has options that need the robots in one process, with None for what is not given. One
+    of them beside several workers, and more workers than robots, raise a `ValueError`.
     """
     fleet = getattr(settings, "fleet", None)
     if fleet is None or fleet.workers == 1:
@@ -136,8 +129,7 @@ def _workers(settings: Any, beside: Mapping[str, Path | bool | None]) -> int:
 def _in_parts(experiment: Experiment, workers: int, num_trajectories: int) -> Run:
     """Simulate a fleet in the workers of a local Ray cluster.
 
-    Raises:
-        ValueError: Ray is not installed, or a worker failed or died.
+    It raises a `ValueError` if Ray is not installed, or if a worker failed or died.
     """
     from jaxplore.study.fleet_parts import simulate_in_parts
 
@@ -167,11 +159,7 @@ def _rollouts(frame: Any) -> int:
 
 
 def _take_settings(options: dict[str, Any], folder: Path) -> None:
-    """Put the settings file of a run folder among the options.
-
-    Raises:
-        ValueError: another settings file, or a folder without one.
-    """
+    """Put the settings file of a run folder among the options, which must have none yet."""
     if options["settings_file"] is not None:
         raise ValueError(
             f"--settings is {printable_path(options['settings_file'])!r} beside --resume; "
@@ -187,11 +175,7 @@ def _take_settings(options: dict[str, Any], folder: Path) -> None:
 
 
 def _check_continues(former: Run, experiment: Experiment, folder: Path) -> None:
-    """Check before the progress bar appears that an experiment continues a run.
-
-    Raises:
-        ValueError: it is another one, or the run is finished or as long already.
-    """
+    """Check that an experiment continues an unfinished run, before the progress bar appears."""
     recording, (controller, scenario, limit, key) = former.recording, experiment
     if recording.num_steps >= limit:
         done, most = (steps * recording.control_period for steps in (recording.num_steps, limit))

@@ -31,11 +31,7 @@ def runner_options(command: Any) -> Any:
 
 
 def make_runner(given: dict[str, Any]) -> "Runner":
-    """Make the runner that the options describe.
-
-    Raises:
-        ValueError: a number of workers < 1.
-    """
+    """Make the runner that the options describe."""
     workers, on_ray, address = given["workers"], given["ray"], given["address"]
     if workers is not None:
         check_count("--workers", workers, MOST_AT_ONCE)

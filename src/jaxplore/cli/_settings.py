@@ -32,11 +32,8 @@ _MOST_SHOWN = 60
 def show_settings(name: str | None) -> None:
     """Print defaults as YAML, or a table of a setting or a section.
 
-    Args:
-        name: a scenario, `path`, a section or a dotted setting; all settings when absent.
-
-    Raises:
-        ValueError: an unknown name; the message has the nearest ones.
+    The name is a scenario, `path`, a section or a dotted setting; without one all settings are
+    printed. The error for an unknown name has the nearest ones.
     """
     if name is None or name in PLACES:
         say(commented_yaml(place_settings(name or OFFICE)), nl=False)

@@ -31,21 +31,12 @@ def free_name(path: Path) -> Path:
 
 
 def reserve(folder: Path, *, overwrite: bool) -> None:
-    """Keep other processes from a run folder until the end of the command.
-
-    Raises:
-        ValueError: what `reserved_folder` rejects.
-    """
+    """Keep other processes from a run folder to the command's end, see `reserved_folder`."""
     click.get_current_context().with_resource(reserved_folder(folder, overwrite=overwrite))
 
 
 def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) -> None:
-    """Print each start that was chosen.
-
-    Args:
-        given: settings entries of the user for each scenario or variant, by name.
-        entries: the same with starts, see `jaxplore.build.exploration.with_start`.
-    """
+    """Print each start that was chosen: `entries` have one, and `given`, of the user, have none."""
     chosen: dict[str, list[str]] = {}
     for name, each in entries.items():
         if given[name].get("start") is None and each.get("start") is not None:
@@ -76,12 +67,7 @@ def show_goal(settings: RunSettings, scenario: Any) -> None:
 
 
 def show_unread(assignments: Sequence[str], settings: Collection[RunSettings]) -> None:
-    """Print each setting of a `--set` option that none of the runs reads.
-
-    Args:
-        assignments: values of the `--set` options, NAME=VALUE each.
-        settings: settings of the runs.
-    """
+    """Print each setting of a `--set` option, NAME=VALUE, that none of the runs reads."""
     for assignment in assignments:
         name = assignment.partition("=")[0].strip()
         readers = why_unread(name, settings)
@@ -98,16 +84,7 @@ def save(
     overwrite: bool,
     recording: Path | None = None,
 ) -> None:
-    """Write a run folder and a video, and print metrics and files; exit if the run was interrupted.
-
-    Args:
-        result: the run.
-        folder: the run folder.
-        settings: settings of the run.
-        pictures: what is drawn.
-        overwrite: whether a former run is replaced.
-        recording: file to which the run was recorded; None without one.
-    """
+    """Write run folder and video, and print metrics and files; exit if the run was interrupted."""
     result.save(
         folder,
         overwrite=overwrite,

@@ -11,11 +11,8 @@ class _Output(io.FileIO):
     """A stream that is written no further once it has failed.
 
     Its reader may have left, as that of `| head` does. What it has read is all that it wanted, so
-    this is no error. Another failure is one, once: Python would write again when it shuts down.
-
-    Args:
-        number: descriptor of the stream.
-        is_required: whether a failure that is not the reader's is an error.
+    this is no error. Another failure is one if the stream is required, and only once: Python would
+    write again when it shuts down.
     """
 
     def __init__(self, number: int, *, is_required: bool) -> None:

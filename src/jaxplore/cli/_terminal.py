@@ -9,13 +9,7 @@ from jaxplore._text import one_line, printable
 
 
 def say(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Print a text, whose characters that a terminal would obey are escaped.
-
-    Args:
-        text: the text.
-        err: whether it goes to standard error.
-        nl: whether a line break follows.
-    """
+    """Print a text, whose characters that a terminal would obey are escaped."""
     click.echo(printable(text), err=err, nl=nl)
 
 

@@ -23,9 +23,6 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
     """Search for better settings, write the folder of the search and print the result.
 
     The exit code is 130 if the user stopped it.
-
-    Raises:
-        ValueError: options that are not accepted.
     """
     pictures = take_pictures(options)
     limit = memory_limit(options)

@@ -19,12 +19,8 @@ def scenario_entries(
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
     """Return the settings entries of each scenario by name, and the common entries.
 
-    Args:
-        options: options of `with_options` and `path_options`.
-        also: further maps, paths or scenarios, or settings files with differences from the first.
-
-    Raises:
-        ValueError: an unknown scenario, or a repeated one.
+    `also` has further maps, paths or scenarios, or settings files with differences from the first.
+    A scenario that is unknown or repeated raises a `ValueError`.
     """
     first = option_entries(options)
     trust = options.get("trust", False)

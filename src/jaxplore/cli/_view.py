@@ -32,18 +32,11 @@ def open_view(
 ) -> LiveView:
     """Open a live view and print its link.
 
-    Its button records to files beside the run folder, which is written at the end of the run.
-
-    Args:
-        view: whether one is wanted.
-        view_port: its port; a free one when absent.
-        host: its address; that of this machine when absent.
-        folder: run folder, whose name is the title of the page's panel.
-        began: time of the start of a robot's drive since the epoch [s]; None for a simulation,
-            which has a speed and can be started again.
-
-    Raises:
-        ValueError: another option of a view without --view; a view that cannot be opened.
+    Its button records to files beside the run folder, which is written at the end of the run. The
+    name of the folder is the title of the page's panel. Without a port it takes a free one, and
+    without a host the address of this machine. `began` is the start of a robot's drive since the
+    epoch [s]; None for a simulation, which has a speed and can be started again. Another option of
+    a view without --view, or a view that cannot be opened, raises a `ValueError`.
     """
     if not view:
         name, value = ("--host", host) if view_port is None else ("--view-port", view_port)
@@ -83,10 +76,8 @@ def run_viewed(
     """Simulate runs until the page of a view asks for no further one.
 
     A run that ends or is stopped is saved, each one in a folder of its own. One that is started
-    again before its end is not. The first run is recorded, if there is a recorder.
-
-    Raises:
-        ValueError: the recording could not be written; the run was saved.
+    again before its end is not. The first run is recorded, if there is a recorder. A recording that
+    could not be written raises a `ValueError` when the run is saved.
     """
     changed: dict[str, float | list[float]] = {}
     shown: list[Monitor] = watching(view)
@@ -120,11 +111,7 @@ def run_viewed(
 
 
 def show_folder(folder: Path, port: int, host: str | None) -> None:
-    """Show a run folder in the browser until Ctrl-C.
-
-    Raises:
-        ValueError: a folder that holds no run, an address or a port that cannot be used.
-    """
+    """Show a run folder in the browser until Ctrl-C."""
     where = HOST if host is None else host
     replay = Replay(Run.load(folder).recording, host=where, port=port, label=folder.resolve().name)
     _tell(replay.link, where, "look at it")

@@ -38,14 +38,9 @@ def map_over_devices(
 ) -> Float[Array, " K"]:
     """Evaluate the costs of samples, each on the device that holds it.
 
-    The devices exchange nothing until the weights are computed.
-
-    Args:
-        costs: function of initial state, controls and `arrays` that returns costs.
-        mesh: mesh of devices.
-        initial: initial state (nx,) of all samples, or (nx, K) of each.
-        controls: control sequences (T, nu, K).
-        arrays: pytree that is replicated on all devices.
+    The devices exchange nothing until the weights are computed. The initial state is (nx,) of all
+    samples, or (nx, K) of each. The pytree `arrays`, the third argument of `costs`, is replicated
+    on all devices.
     """
     samples = mesh.axis_names
     over_devices = jax.shard_map(

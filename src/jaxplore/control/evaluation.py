@@ -28,15 +28,9 @@ def evaluate_samples(
 ) -> Float[Array, " K"]:
     """Roll out sampled control sequences and return their costs (K,).
 
-    Args:
-        dynamics: model of the robot.
-        cost: cost to evaluate.
-        sampled: the control sequences.
-        initial: (nx,) state that all rollouts start from, or (nx, K) one for each.
-        dt: model step [s].
-        belief: what the robot knows of the world.
-        mesh: devices that share the samples; None for one device.
-        steps: number of steps to simulate, see `rollout_costs`; all when absent.
+    `initial` is the state (nx,) that all rollouts start from, or (nx, K) one for each. The model
+    step `dt` is in s. `mesh` are the devices that share the samples; None for one device. `steps`
+    is the number of steps to simulate, see `rollout_costs`; all when absent.
 
     Raises:
         ValueError: no belief for a cost that reads one.

@@ -38,11 +38,7 @@ def robot_keys(key: Key, identity: Int[Array, " N"]) -> tuple[Key, ...]:
     """Derive a random key for each robot of a fleet; that of a robot alone is the key itself.
 
     A key depends on the identity of the robot and not on its place in the fleet, so that the order
-    of the robots does not matter.
-
-    Args:
-        key: key of the fleet.
-        identity: (N,) numbers of the robots, all different.
+    of the robots does not matter. The identities (N,) are all different.
     """
     if identity.shape[0] == 1:
         return (key,)
@@ -210,10 +206,5 @@ def _cut_and_joined(arrays: Sequence[Array], time_axis: int) -> Array:
 
 
 def same_for_all(controller: Controller, formation: Formation) -> FleetController:
-    """Return a fleet controller of equal controllers.
-
-    Args:
-        controller: controller of one robot.
-        formation: model of all robots, which are equal.
-    """
+    """Return a fleet controller of equal controllers, for a formation of equal robots."""
     return FleetController([controller] * len(formation.robots), formation)

@@ -21,10 +21,8 @@ class Share(eqx.Module):
     part, scans, fields and controls, for its own robots. What follows from them is gathered. So all
     processes take the same decisions, and the run is that of one process.
 
-    Args:
-        mine: places of the own robots in the fleet; static.
-        number: number of all robots, N; static.
-        meet: how to hear of the others; None if all robots are here; static.
+    `mine` are the places of the own robots in the fleet, and `number` is that of all robots. `meet`
+    is how to hear of the others; None if all robots are here.
     """
 
     mine: tuple[int, ...] = eqx.field(static=True)
@@ -48,8 +46,7 @@ class Share(eqx.Module):
     def gathered(self, rows: Sequence[Any]) -> list[Any]:
         """Return one pytree of each robot, from those of the own robots; traced.
 
-        Args:
-            rows: pytrees of one structure and of the same shapes.
+        All have the same structure and shapes.
         """
         if self.meet is None:
             return list(rows)
@@ -77,15 +74,9 @@ class Share(eqx.Module):
 
 
 def checked_share(share: Share, kinds: Sequence[Any], name: str) -> None:
-    """Check that robots can be computed by several processes.
+    """Check that several processes can compute the robots: two or more, and all equal.
 
-    Args:
-        share: robots of this process.
-        kinds: the distinct things of the robots.
-        name: name of the things, for the error message.
-
-    Raises:
-        ValueError: robots that are not all equal, or one alone.
+    `kinds` are the distinct things of the robots; the message calls them `name`.
     """
     if share.number < 2 or len(kinds) > 1:
         raise ValueError(

@@ -27,15 +27,8 @@ def sampled_plan(
 ) -> SampledPlan:
     """Roll out the plan of a step, its best sample and some of the others, undisturbed.
 
-    Args:
-        dynamics: model of the robot.
-        cost: cost to evaluate.
-        sampled: the control sequences of the step.
-        info: diagnostics of the step.
-        observation: (nx,) observed state of the robot.
-        dt: model step [s].
-        belief: what the robot knows of the world.
-        num_trajectories: greatest number of samples to return.
+    All start at `observation` (nx,), with the model step `dt` [s]. The others are at most
+    `num_trajectories` samples.
     """
     chosen = shown_samples(sampled.controls.shape[-1], num_trajectories)
 
@@ -51,12 +44,8 @@ def sampled_plan(
 
 
 def shown_samples(num_samples: int, most: int) -> np.ndarray:
-    """Return the numbers of the samples that are shown, at even distances.
+    """Return the numbers of the samples that are shown, at most `most`, at even distances.
 
     A mixture orders its samples by component, so the first few would show one component only.
-
-    Args:
-        num_samples: number of all samples.
-        most: greatest number of samples to show.
     """
     return np.linspace(0, num_samples - 1, min(most, num_samples)).round().astype(int)

@@ -89,18 +89,8 @@ def checked_call(
 ) -> StateVector:
     """Check the arguments of a controller's `step`, and return the observed state as an array.
 
-    The numbers of an observation are not checked, nor anything of one that is traced.
-
-    Args:
-        dynamics: model of the robot.
-        state: state of the controller.
-        kind: class of this state.
-        observation: (nx,) observed state of the robot, an array or a list.
-        key: random key.
-
-    Raises:
-        ValueError: a state of another class, an observation of another size, something else than a
-            key.
+    `kind` is the class of the controller's state. The observation is an array or a list of the size
+    of the state. Its numbers are not checked, nor anything of one that is traced.
     """
     _kinds.instance("state", state, kind, hint="from init() or the last step")
     _kinds.key("key", key)

@@ -60,16 +60,10 @@ def shifted_state(
     *,
     is_interpolated: bool,
 ) -> MPPIState:
-    """Move the nominal and the memories on in time.
+    """Move the nominal and the memories on by a number of model steps, not necessarily whole.
 
-    Args:
-        state: the state before.
-        steps: number of model steps to move on, not necessarily whole.
-        space: bounds, default control, step and horizon of the controls.
-        parameterisation: map from parameters to controls.
-        proposal: distribution that parameters are sampled from.
-        is_interpolated: whether a part of a model step interpolates the nominal. If false, it is
-            shifted by whole model steps when they are due.
+    With `is_interpolated` a part of a model step interpolates the nominal. Without it, the nominal
+    is shifted by whole model steps when they are due.
     """
     phase = state.phase
     if not is_interpolated:

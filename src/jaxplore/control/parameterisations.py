@@ -142,10 +142,7 @@ class Direct(Parameterisation):
 def shifted(sequence: Sequence, steps: Scalar, after: ControlVector) -> Sequence:
     """Return a sequence (T, nu) shifted by a number of steps, interpolated linearly.
 
-    Args:
-        sequence: sequence (T, nu).
-        steps: number of steps; may be a fraction.
-        after: row (nu,) by which the sequence is extended.
+    The number may be a fraction. The row `after` (nu,) extends the sequence.
     """
     # Rows beyond the end read the extension, which is appended as one more row.
     length = sequence.shape[0]

@@ -43,9 +43,7 @@ type Triple = Float[jax.Array, "3"] | Float[np.ndarray, "3"]
 def is_moving(twist: Triple, share: float = 1.0) -> Any:
     """Check whether a velocity (vx, vy, omega) must change the pose [m/s, m/s, rad/s].
 
-    Args:
-        twist: the velocity.
-        share: share of `MIN_SPEED` and `MIN_TURN_RATE` above which it must.
+    It must if it exceeds `share` times `MIN_SPEED`, or its turn rate `share` times `MIN_TURN_RATE`.
     """
     xp = _module(twist)
     is_fast = xp.hypot(twist[0], twist[1]) > share * MIN_SPEED
@@ -70,18 +68,12 @@ def is_jump(
 
 
 def scan_misfit(belief: Belief, sensor: Beams, scan: Scan, pose: Pose) -> Scalar:
-    """Return the share of the returns of a scan that contradict the map.
+    """Return the share of the returns of a scan that contradict the map, as it was before the scan.
 
     A return contradicts the map if it is farther than `MISFIT_DISTANCE` from every cell that is
     occupied or unknown: it hits something where the map knows free space. So a scan of unknown
-    space contradicts nothing. The share is 0 with fewer than `MIN_RETURNS` returns, at a pose that
-    is not finite, and on a known ground, whose hills return beams as well.
-
-    Args:
-        belief: what the robot knows, before the scan.
-        sensor: sensor of the scan.
-        scan: the scan.
-        pose: pose (x, y, yaw) of the sensor [m, m, rad].
+    space contradicts nothing. The share is 0 with fewer than `MIN_RETURNS` returns, at a pose of
+    the sensor that is not finite, and on a known ground, whose hills return beams as well.
     """
     if belief.ground is not None:
         return jnp.zeros(())

@@ -83,16 +83,9 @@ def step_costs(
 ) -> Float[Array, " T"]:
     """Return the cost of each step of a rollout (T,).
 
-    The last entry includes the terminal cost and the cost of the sequence.
-
-    Args:
-        dynamics: model of the robot.
-        cost: cost to evaluate.
-        states: (T, nx) states that the controls lead to, without the initial one.
-        controls: (T, nu) control sequence.
-        dt: model step [s].
-        belief: what the robot knows of the world.
-        applied: (nu,) control before the first one.
+    The last entry includes the terminal cost and the cost of the sequence. `states` (T, nx) are
+    those that the controls lead to, without the initial one. The model step `dt` is in s. `applied`
+    (nu,) is the control before the first one.
     """
     times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=dt.dtype)
 

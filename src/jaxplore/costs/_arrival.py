@@ -41,10 +41,6 @@ def with_overrun(state: State, distance: Scalar) -> Scalar:
         d + 2 e(d)
 
     So a robot brakes in time, also where its braking distance is longer than the horizon.
-
-    Args:
-        state: state of the robot.
-        distance: distance to go, d [m].
     """
     return distance + OVERRUN * overrun(state, distance)
 
@@ -54,12 +50,8 @@ def overrun(state: State, distance: Scalar) -> Scalar:
 
         e(d) = max(s - d, 0),   s = v^2 / a
 
-    s is the distance in which it comes to rest with half of its deceleration a
-    (`Dynamics.deceleration`).
-
-    Args:
-        state: state of the robot.
-        distance: distance to the point, d [m].
+    with d the distance to the point [m], and s the distance in which the robot comes to rest with
+    half of its deceleration a (`Dynamics.deceleration`).
     """
     return jnp.maximum(state.stopping_distance / BRAKING_SHARE - distance, 0.0)
 
@@ -74,21 +66,14 @@ def homing_cost(
 ) -> Scalar:
     """Return the cost of driving to a goal and coming to rest there [m].
 
-    It is `with_overrun` of the distance to go, plus `turning` times what is missing of facing the
-    way, plus 0.3 s^2/m of the squared speed within about 0.3 m of the goal. Close to the goal the
-    distance and the way are those of the straight line, as the nodes of a field are coarser than
-    the radius of a goal. A heading at the goal adds `0.3 exp(-(d / 0.4)^2) |turn| / pi`.
+    It is `with_overrun` of the distance to go, plus `turning` [m] times what is missing of facing
+    the way, plus 0.3 s^2/m of the squared speed within about 0.3 m of the goal. Close to the goal
+    the distance and the way are those of the straight line, as the nodes of a field are coarser
+    than the radius of a goal. Farther away the distance is `to_go`, the cost-to-go beyond that at
+    the goal [m]. A heading at the goal [rad] adds `0.3 exp(-(d / 0.4)^2) |turn| / pi`.
 
     A car that can reverse comes to a goal with a heading by `manoeuvre` instead: see
     `_parking_cost`.
-
-    Args:
-        state: state of the robot.
-        field: cost-to-go to the goal.
-        to_go: cost-to-go at the state, beyond that at the goal [m].
-        goal: position (x, y) of the goal [m].
-        heading: heading at the goal [rad]; any when None.
-        turning: cost of facing sideways [m].
     """
     if heading is not None and isinstance(field, CarGuidance) and field.roads.can_reverse:
         return _parking_cost(state, field, to_go, goal, heading)

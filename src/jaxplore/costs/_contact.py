@@ -41,15 +41,11 @@ def depth(distance: Scalar, too_close: Scalar) -> Scalar:
 
 
 def penalty(distance: Scalar, clearance: Scalar, too_close: Scalar, collision: Scalar) -> Scalar:
-    """Compute the cost of a distance to an obstacle.
+    """Compute the cost of a distance d of a disc's centre to an obstacle [m].
 
         ((clearance - d)_+ / clearance)^2 + collision * ((too_close - d)_+ / 0.05 m)^2
 
-    Args:
-        distance: distance of a disc's centre from the obstacle, d [m].
-        clearance: distance below which the soft term counts [m].
-        too_close: distance below which the hard term counts [m].
-        collision: cost of being 5 cm too close.
+    The factor `collision` is the cost of being 5 cm too close.
     """
     near = jnp.maximum(clearance - distance, 0.0) / clearance
     deep = depth(distance, too_close)

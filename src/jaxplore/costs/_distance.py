@@ -9,9 +9,7 @@ from jaxplore.dynamics.base import State
 def offset(state: State, point: Array) -> tuple[Scalar, ...]:
     """Compute position minus point, component by component [m].
 
-    Args:
-        state: state of the robot.
-        point: (2,) or (3,) [m]; the third component is compared with `state["z"]`.
+    The third component of a point in space is compared with `state["z"]`.
     """
     # Mapped over K samples, each component is one vector of K, which XLA turns into fast loops.
     here = [*state.position]

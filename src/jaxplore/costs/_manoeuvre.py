@@ -27,14 +27,12 @@ def manoeuvre_table(radius: float) -> np.ndarray:
     """Return the costs (2, TURNS, NODES, NODES) by heading, y and x of a car around a goal [m].
 
     The goal is at the origin and has the heading 0. The cost is that of the cheapest way of Reeds
-    and Shepp to a pose p near the goal, forwards or backwards first, plus a price of standing at p:
+    and Shepp with the turning radius `radius` [m] to a pose p near the goal, forwards or backwards
+    first, plus a price of standing at p:
 
         min over p of  length + 1 m * reversals + 1.5 m ((|p| / 0.15 m)^2 + (turn of p / 0.1)^2)
 
     Without that price each millimetre beside the goal would cost a whole manoeuvre.
-
-    Args:
-        radius: turning radius [m].
     """
     along = SPACING * (np.arange(NODES) - NODES // 2)
     turn, y, x = np.meshgrid(math.tau / TURNS * np.arange(TURNS), along, along, indexing="ij")
@@ -61,14 +59,9 @@ def manoeuvre_table(radius: float) -> np.ndarray:
 def manoeuvre(radius: float, x: Scalar, y: Scalar, turn: Scalar, speed: Scalar) -> Scalar:
     """Return the cost of the last manoeuvre of a car [m]; see `manoeuvre_table`.
 
-    Beyond the table it is that at its edge.
-
-    Args:
-        radius: turning radius [m]; static.
-        x: place of the car ahead of the goal [m].
-        y: its place on the left of the goal [m].
-        turn: its heading relative to that at the goal [rad].
-        speed: its forward speed, which tells the direction of travel [m/s].
+    Beyond the table it is that at its edge. `radius` is the turning radius [m]; static. The car is
+    `x` ahead of the goal and `y` on its left [m], and its heading is `turn` from that at the goal
+    [rad]. Its forward speed [m/s] tells the direction of travel.
     """
     table = jnp.asarray(manoeuvre_table(radius).ravel())
     # A pose that is not finite has no index.

@@ -18,12 +18,7 @@ UNROLL = 8
 
 
 def add_up(value: Callable[[Any], Scalar], items: Any) -> Scalar:
-    """Sum `value(item)` over all items.
-
-    Args:
-        value: function of one item.
-        items: items, as a pytree of arrays whose first axis counts them.
-    """
+    """Sum `value(item)` over all items, a pytree of arrays whose first axis counts them."""
 
     def add(total: Scalar, each: Any) -> tuple[Scalar, None]:
         return total + value(each), None
@@ -34,9 +29,7 @@ def add_up(value: Callable[[Any], Scalar], items: Any) -> Scalar:
 def least(value: Callable[[Any], Scalar], items: Any) -> tuple[Scalar, Count]:
     """Find the least `value(item)`, NaN if one is NaN, and the index of the first item that has it.
 
-    Args:
-        value: function of one item.
-        items: items, as a pytree of arrays whose first axis counts them.
+    `items` is a pytree of arrays whose first axis counts them.
     """
     count = jax.tree.leaves(items)[0].shape[0]
 

@@ -81,10 +81,7 @@ def acceleration(
 ) -> tuple[Scalar, Scalar]:
     """Compute the acceleration of a robot's position along its heading and to its left [m/s^2].
 
-    Args:
-        state: (nx,) state of the robot.
-        control: (nu,) control, taken as constant.
-        dynamics: model of the robot; of an `Augmented` model the physical part is used.
+    The control is taken as constant. Of an `Augmented` model the physical part is used.
 
     Raises:
         ValueError: a model that is not given by its time derivative.

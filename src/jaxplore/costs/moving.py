@@ -144,12 +144,8 @@ class MovingObstacleCost(Cost):
     ) -> Scalar:
         """Return the cost of a state; obstacles that are not known cost nothing.
 
-        Args:
-            radius: radius of the robot's discs [m].
-            points: centres of these discs [m].
-            too_close: distance of a centre below which the robot is too close [m].
-            t: time from now [s].
-            obstacles: the obstacles at the present time.
+        `radius` and `points` are those of the robot's discs [m]. A centre nearer than `too_close`
+        [m] is too close. `t` is the time from now [s], `obstacles` those at the present time.
         """
         has_distance = self.clearance is not None or self.collision is not None
         sums_distances = has_distance and not self.nearest_only
@@ -233,9 +229,8 @@ def _points(state: State) -> list[tuple[Scalar, ...]]:
 def _forms(covariance: Float[Array, "N 2 2"], extent: Float[Array, " N"]) -> Float[Array, "N 3"]:
     """Return the coefficients of x^2, x y and y^2 in -1/2 e^T S^-1 e.
 
-    Args:
-        covariance: (N, 2, 2) covariances of the centres [m^2].
-        extent: (N,) sums of the robot's and the obstacle's radius [m].
+    S is the covariance of a centre [m^2], plus the square of `extent` on its diagonal: the sum of
+    the robot's and the obstacle's radius [m].
     """
     wider = jnp.maximum(extent, SMALLEST) ** 2
     a, b = covariance[:, 0, 0] + wider, covariance[:, 0, 1]

@@ -41,14 +41,7 @@ def radius_of_robot(value: ArrayLike) -> Scalar:
 
 
 class BrakingLimits(eqx.Module):
-    """Bounds of an acceleration that differ between speeding up and braking.
-
-    Speeding up is a growing |v|, braking a shrinking one, whatever the sign of v.
-
-    Args:
-        speeding: bound of the acceleration while |v| grows [m/s^2].
-        braking: bound of the acceleration while |v| shrinks [m/s^2].
-    """
+    """Bounds of an acceleration [m/s^2]: `speeding` while |v| grows, `braking` while it shrinks."""
 
     speeding: Scalar
     braking: Scalar

@@ -20,12 +20,7 @@ ARM = 0.5
 
 
 class Motion(NamedTuple):
-    """How fast a robot moves.
-
-    Args:
-        speed: its speed, in any direction [m/s].
-        turn_rate: its turn rate [rad/s].
-    """
+    """How fast a robot moves: its speed, in any direction [m/s], and its turn rate [rad/s]."""
 
     # Numbers of a robot, or arrays of a simulation.
     speed: Any
@@ -33,14 +28,7 @@ class Motion(NamedTuple):
 
     @classmethod
     def between(cls, robot: Dynamics, before: Any, after: Any, dt: Scalar) -> "Motion":
-        """Return the mean motion over a step.
-
-        Args:
-            robot: model of the robot.
-            before: (nx,) state before the step.
-            after: (nx,) state after it.
-            dt: length of the step [s].
-        """
+        """Return the mean motion over a step of `dt` [s] between two states (nx,)."""
         moved = robot.position(after) - robot.position(before)
         squared = jnp.sum(moved * moved)
         if "z" in robot.state_names:
@@ -96,12 +84,7 @@ class GoalCheck(NamedTuple):
         tolerance: ArrayLike = GOAL_TOLERANCE,
         speed: ArrayLike = GOAL_SPEED,
     ) -> "GoalCheck":
-        """Make a check of numbers.
-
-        Raises:
-            ValueError: a position or a heading that is not finite, another number that is not
-                positive.
-        """
+        """Make a check of finite numbers; radius, tolerance and speed are positive."""
         return cls(
             _checks.vector("goal", position, 2),
             _checks.scalar("goal_radius", radius, above=0.0),
@@ -118,9 +101,7 @@ class GoalCheck(NamedTuple):
     def is_reached(self, pose: Any, motion: Motion) -> Any:
         """Check whether a robot has reached the goal.
 
-        Args:
-            pose: its pose (x, y, yaw), or its position where any heading is right [m, m, rad].
-            motion: how fast it moves.
+        `pose` is (x, y, yaw) [m, m, rad], or the position alone where any heading is right.
         """
         there = self.is_at(pose) & motion.is_within(self.speed)
         if self.heading is None:

@@ -44,14 +44,7 @@ class PositionVariance(Dynamics):
         return state
 
     def after(self, variance: Scalar, before: Position, here: Position, dt: Scalar) -> Scalar:
-        """Return the variance after a step [m^2].
-
-        Args:
-            variance: variance before it [m^2].
-            before: position before it [m].
-            here: position after it [m].
-            dt: length of the step [s].
-        """
+        """Return the variance [m^2] after a step of `dt` [s] from `before` to `here` [m]."""
         moved = here - before
         grown = variance + self.added * jnp.sqrt((moved**2).sum())
         return grown / (1.0 + grown * self.certainty(here) * self.rate * dt)

@@ -225,8 +225,7 @@ def path_through(
 def cusps(points: np.ndarray) -> np.ndarray:
     """Return the indices of the points (M, 2) at which a line turns back: by more than 135 degrees.
 
-    Args:
-        points: corners of the line, no two of which in a row are equal [m].
+    No two points in a row may be equal.
     """
     steps = np.diff(points, axis=0)
     steps = steps / np.hypot(*steps.T)[:, None]

@@ -15,13 +15,9 @@ def wrapped(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
 
 
 def compose(pose: Pose, increment: Pose) -> Pose:
-    """Return the pose after a motion.
+    """Return the pose (x, y, yaw) after a motion (dx, dy, dyaw) in the frame of the pose before it.
 
-        (x, y) + R(yaw) (dx, dy),   yaw + dyaw
-
-    Args:
-        pose: pose (x, y, yaw) [m, m, rad].
-        increment: motion (dx, dy, dyaw) in the frame of the pose.
+    (x, y) + R(yaw) (dx, dy),   yaw + dyaw
     """
     sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
     dx, dy, turn = jnp.unstack(increment)
@@ -43,11 +39,8 @@ def moved_covariance(pose: Pose, increment: Pose, covariance: Matrix, added: Mat
 
         F P F' + G Q G',   F = d compose / d pose,   G = d compose / d increment
 
-    Args:
-        pose: pose (x, y, yaw) before the motion [m, m, rad].
-        increment: motion (dx, dy, dyaw) in its frame.
-        covariance: covariance P of the pose, in the world.
-        added: covariance Q of the motion, in the frame of the pose.
+    P is the covariance of the pose, in the world. Q is `added`, that of the motion, in the frame of
+    the pose.
     """
     sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
     dx, dy, _ = jnp.unstack(increment)

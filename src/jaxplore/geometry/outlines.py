@@ -115,11 +115,8 @@ class Outlines(eqx.Module):
 class Nearest(NamedTuple):
     """Distance and offset from a shape to a point.
 
-    Args:
-        distance: signed distance to the edge of the shape, negative inside [m].
-        x: x component of the vector from the nearest point of the polygon, without its radius, to
-            the point [m].
-        y: y component of the same vector [m].
+    The distance is negative inside [m]. (x, y) is the vector from the nearest point of the polygon,
+    without its radius, to the point [m].
     """
 
     distance: Scalar
@@ -130,13 +127,8 @@ class Nearest(NamedTuple):
 def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) -> Nearest:
     """Return the signed distance and the offset from one shape of `Outlines` to a point.
 
-    The distance of a NaN point is NaN.
-
-    Args:
-        corners: corners (V, 2) of the polygon, in order [m].
-        radius: radius by which the polygon is grown [m].
-        x: x coordinate of the point [m].
-        y: y coordinate of the point [m].
+    The corners (V, 2) of the polygon are in order; it is grown by the radius [m]. The distance of a
+    NaN point is NaN.
     """
     if corners.shape[0] == 1:
         return _nearest_of_disc(corners[0], radius, x, y)

@@ -41,11 +41,9 @@ class RayCells(NamedTuple):
 def traverse(start: Float[Array, "2"], angle: Scalar, length: float) -> RayCells:
     """Return the cells that a ray crosses, starting with the cell that holds its start.
 
-    Args:
-        start: start of the ray in grid coordinates (row, column) [cells].
-        angle: direction in the grid's frame, from the column axis towards the row axis [rad].
-        length: length of the ray [cells]; static. All cells entered within it are returned. Some
-            farther cells may follow; their `entry` is greater than the length.
+    The start is (row, column), and the angle from the column axis towards the row axis. All cells
+    entered within `length` [cells] (static) are returned. Some farther cells may follow; their
+    `entry` is greater than the length.
     """
     direction = jnp.stack([jnp.sin(angle), jnp.cos(angle)])
     base = jnp.floor(start)
@@ -107,24 +105,19 @@ class RayOffsets(NamedTuple):
 
 
 def ray_offsets(angles: np.ndarray, length: float) -> RayOffsets:
-    """Tabulate the cells that rays from a cell's centre leave within a length.
+    """Tabulate the cells that rays from a cell's centre leave within a length [cells].
 
-    Args:
-        angles: directions (D,) from the column axis towards the row axis [rad].
-        length: length of the rays [cells].
+    The angles (D,) are from the column axis towards the row axis [rad].
     """
     return direction_offsets(np.stack([np.sin(angles), np.cos(angles)]), length)
 
 
 def direction_offsets(directions: np.ndarray, length: float) -> RayOffsets:
-    """Tabulate the cells that rays from a cell's centre leave within a length.
+    """Tabulate the cells that rays from a cell's centre leave within a length [cells].
 
     Rays in one direction cross the same offsets from every cell, so a whole map can be processed by
     shifting it. The table is computed in double precision, once per sensor and resolution.
-
-    Args:
-        directions: unit vectors (n, D) along the axes of a grid of n dimensions.
-        length: length of the rays [cells].
+    Directions (n, D) are unit vectors along the axes of a grid of n dimensions.
     """
     # From a cell's centre, the k-th line of a family is k + 1/2 cells away along its axis.
     lines = np.arange(math.ceil(length) + 2) + 0.5

@@ -14,16 +14,11 @@ def lengths(x: np.ndarray, y: np.ndarray, turn: np.ndarray, reversal: float) -> 
 
     A cost is the length of the way, plus `reversal` for each change between forwards and backwards,
     the one at the start included if the way begins in the other direction. All lengths are in
-    turning radii.
+    turning radii. The pose is x ahead of the car and y on its left, and `turn` is its heading
+    relative to that of the car [rad].
 
     Source: Reeds and Shepp, "Optimal paths for a car that goes both forwards and backwards",
     Pacific Journal of Mathematics 1990, section 8.
-
-    Args:
-        x: place of the pose ahead of the car.
-        y: its place on the left of the car.
-        turn: its heading relative to that of the car [rad].
-        reversal: price of a change between forwards and backwards.
     """
     cos, sin = np.cos(turn), np.sin(turn)
     best = np.full((2, *np.shape(x)), np.inf)

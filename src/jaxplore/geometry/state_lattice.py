@@ -39,11 +39,8 @@ HEADINGS = tuple(math.atan2(y, x) % math.tau for x, y in heading_vectors())
 class Passed(NamedTuple):
     """The state of a lattice that is nearest to a point of a motion.
 
-    Args:
-        down: rows from the start.
-        right: columns from the start.
-        heading: index of the heading.
-        left: length of the path from there to the end of the motion [node spacings].
+    `down` and `right` are rows and columns from the start, `heading` is an index. `left` is the
+    length of the path from there to the end of the motion [node spacings].
     """
 
     down: int
@@ -78,11 +75,7 @@ class Motion(NamedTuple):
 
 
 def rounded_radius(turning_radius: float, spacing: float) -> float:
-    """Return a turning radius in node spacings, rounded up to a multiple of `RADIUS_STEP`.
-
-    Args:
-        turning_radius: radius of the smallest circle of the car [m].
-        spacing: distance between nodes [m].
+    """Return a turning radius [m] in node spacings, rounded up to a multiple of `RADIUS_STEP`.
 
     Raises:
         ValueError: a radius of more than `LARGEST_RADIUS` spacings.
@@ -98,7 +91,7 @@ def rounded_radius(turning_radius: float, spacing: float) -> float:
 
 @functools.cache
 def motions(radius: float) -> tuple[Motion, ...]:
-    """Return the motions of a car with a turning radius, ordered by their first heading.
+    """Return the motions of a car with a turning radius [node spacings], ordered by first heading.
 
     From each heading they go straight on to the next node, and turn to either side by each of
     `TURNS`. A turn is the shortest path that is straight, then on the smallest circle, then
@@ -106,9 +99,6 @@ def motions(radius: float) -> tuple[Motion, ...]:
 
     Source: Pivtoraiko, Knepper and Kelly, "Differentially constrained mobile robot motion planning
     in state lattices", Journal of Field Robotics 2009.
-
-    Args:
-        radius: turning radius [node spacings].
     """
     vectors = heading_vectors()
     found = []

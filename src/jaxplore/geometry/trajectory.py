@@ -7,14 +7,9 @@ Rows = NDArray[np.float64]
 
 
 def motions_between(poses: Rows, others: Rows) -> Rows:
-    """Return the motions (N, 3) from poses to others, in the frames of the first ones.
+    """Return the motions (N, 3) from poses (x, y, yaw) to others, in the frames of the first ones.
 
-    Args:
-        poses: poses (N, 3) as (x, y, yaw) [m, m, rad].
-        others: poses (N, 3) that are reached.
-
-    Returns:
-        Motions (dx, dy, dyaw), with turns in [-pi, pi].
+    The turns are in [-pi, pi].
     """
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     dx, dy, turn = (others - poses).T
@@ -30,9 +25,7 @@ def steps_along(poses: Rows) -> Rows:
 def accumulate_motions(first: Rows, motions: Rows) -> Rows:
     """Return the poses (N, 3) after motions (N, 3), the first of which is not made.
 
-    Args:
-        first: pose (3,) that the way begins at [m, m, rad].
-        motions: motions, each in the frame of the pose before it.
+    The way begins at the pose `first`. Each motion is in the frame of the pose before it.
     """
     yaw = first[2] + np.concatenate([[0.0], np.cumsum(motions[1:, 2])])
     cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])

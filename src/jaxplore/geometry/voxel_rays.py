@@ -42,20 +42,14 @@ def walk[Carry](
     visit: Callable[[Carry, VoxelStep], tuple[Carry, Bool[Array, " R"]]],
     carry: Carry,
 ) -> Carry:
-    """Visit the voxels of R rays one after another, all rays in step.
+    """Visit the voxels of R rays one after another, all rays in step; return what is carried.
 
-    Args:
-        start: starts of the rays in grid coordinates [voxels].
-        direction: unit vectors along the axes of the grid; a ray without a finite one is not
-            walked.
-        length: length of each ray [voxels]. Voxels that are entered within it are visited.
-        visit: function of what was carried so far and of the voxels; it returns what is carried on,
-            and which rays go on. It is also called for rays that have ended, with `is_crossed`
-            False.
-        carry: what is carried to the first voxels.
+    Starts are in grid coordinates [voxels], and directions are unit vectors along the axes of the
+    grid. A ray without a finite direction is not walked. Voxels that are entered within `length`
+    [voxels] are visited.
 
-    Returns:
-        What is carried in the end.
+    `visit` takes what was carried so far and the voxels. It returns what is carried on, and which
+    rays go on. It is also called for rays that have ended, with `is_crossed` False.
     """
     is_finite = jnp.all(jnp.isfinite(start) & jnp.isfinite(direction), axis=0)
     # Converting NaN to an integer is undefined.

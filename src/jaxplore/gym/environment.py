@@ -133,11 +133,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
 
 
 def checked_render_mode(render_mode: str | None) -> str | None:
-    """Check a render mode, and return it.
-
-    Raises:
-        ValueError: an unknown render mode.
-    """
+    """Check a render mode, and return it."""
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"render_mode is {render_mode!r}; accepted: rgb_array, None")
     return render_mode
@@ -152,12 +148,6 @@ def environment_metadata(environment: Environment, general: dict[str, Any]) -> d
 def picture(
     environment: Environment, state: EnvironmentState, trail: list[np.ndarray]
 ) -> np.ndarray:
-    """Draw one environment (rows, columns, 3).
-
-    Args:
-        environment: the environment.
-        state: state of the environment.
-        trail: (2,) arrays, the positions of the robot so far [m].
-    """
+    """Draw one environment (rows, columns, 3); `trail` are its positions (2,) so far [m]."""
     view = environment.agent_view(state.choice)
     return view.picture(state.perceived, state.moment, np.stack(trail))

@@ -30,11 +30,7 @@ def step(
 
 
 def begun(state: EnvironmentState | None) -> EnvironmentState:
-    """Return the state of an environment, which must have been reset.
-
-    Raises:
-        gymnasium.error.ResetNeeded: it was not reset.
-    """
+    """Return the state of an environment; raise `ResetNeeded` if it was not reset."""
     if state is None:
         raise error.ResetNeeded("the environment has no state; accepted: reset first")
     return state
@@ -76,11 +72,7 @@ def draw(
 ) -> tuple[Key, Count]:
     """Draw the key and the scenario of an episode, unless they are given.
 
-    Args:
-        generator: random generator for a seed or scenario that is not given.
-        environment: environment of the episode.
-        seed: argument of `jax.random.key`; the run equals that of `simulate` with this key.
-        choice: number of the scenario.
+    `seed` is the argument of `jax.random.key`; the run equals that of `simulate` with this key.
 
     Raises:
         ValueError: a scenario number out of range.
@@ -100,11 +92,7 @@ def draw(
 
 
 def checked_action(action: Any, shape: tuple[int, ...]) -> Array:
-    """Check one or more actions, and convert them to an array.
-
-    Raises:
-        ValueError: a wrong shape, or numbers that are not finite.
-    """
+    """Check one or more actions, and convert them to an array of finite numbers."""
     given = np.asarray(action, np.float32)
     if given.shape != shape or not np.isfinite(given).all():
         raise ValueError(f"action is {action!r}; accepted: finite numbers of shape {shape}")

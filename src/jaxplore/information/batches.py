@@ -17,12 +17,7 @@ def over_poses(
     position: Float[Array, "*N 2"],
     heading: Float[Array, "*N"],
 ) -> Float[Array, "*N"]:
-    """Evaluate a function of position and heading at one pose or at each of N poses.
-
-    Args:
-        gain: function of one position (2,) and one heading () that returns a scalar.
-        position: position (2,) or positions (N, 2) [m].
-        heading: heading () or headings (N,) [rad].
+    """Evaluate a function of position [m] and heading [rad] at one pose or at each of N poses.
 
     Raises:
         ValueError: shapes other than (2,) and (), or (N, 2) and (N,).

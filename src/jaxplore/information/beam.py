@@ -97,15 +97,10 @@ def contributions(
 ) -> Float[Array, " n"]:
     """Return the contribution of each cell [nat], v_k of this module's formula.
 
-    Args:
-        probability: probability of occupancy (n,), nearest cell first.
-        gains: information gained in each cell by either measurement.
-        noise: range noise, or None.
-        no_return: whether a beam that meets nothing counts as passing every cell.
-        edges: distances (n + 1,) at which the cells begin and end.
-        cell_size: side of a grid cell in the unit of `edges`; None if the cells are not grid cells.
-        in_range: mask (n,) of the cells within the range; the others pad the far end of the array,
-            and a reading there is discarded.
+    The nearest cell comes first. The cells begin and end at the distances `edges`. `cell_size` is
+    the side of a grid cell in the unit of `edges`; None if the cells are not grid cells. If
+    `no_return`, a beam that meets nothing counts as passing every cell. Cells that are not
+    `in_range` pad the far end of the array, and a reading there is discarded.
     """
     passed = jnp.cumprod(1.0 - probability)
     hit = probability * jnp.concatenate([jnp.ones(1), passed[:-1]])

@@ -118,12 +118,9 @@ class BeamTable(eqx.Module):
     ) -> CellMaps:
         """Precompute the channels that beams read from a map or a part of it.
 
-        Args:
-            probability: probability of occupancy (H, W).
-            is_inside: mask (H, W) of the cells that are on the map; None for all.
-            sensor: update of a cell by a measurement.
-            margin: number of absorbing rows before and after, and columns before and after.
-            interest: additional information (H, W) of observing each cell that a beam passes [nat].
+        `is_inside` are the cells that are on the map; None for all. `margin` is the number of
+        absorbing rows before and after, and of columns before and after. `interest` is the
+        additional information of observing each cell that a beam passes [nat].
         """
         probability = settled(probability, sensor)
         if self.is_simple:
@@ -163,10 +160,7 @@ class BeamTable(eqx.Module):
     ) -> Bool[Array, "rows columns"]:
         """Return the mask of the nodes at which a robot can be: on the map and not occupied.
 
-        Args:
-            maps: channels of the map.
-            first: cell (row, column) of node (0, 0) in `maps`.
-            shape: rows and columns of nodes.
+        `first` is the cell (row, column) of node (0, 0) in `maps`, and `shape` that of the nodes.
         """
         # Channel 0 is the probability that a beam passes: 1 - p, and 0 off the map.
         passing = self._read(maps, shape)(0, list(self._starts(first, jnp.zeros(2, jnp.int32))))
@@ -181,11 +175,8 @@ class BeamTable(eqx.Module):
     ) -> Float[Array, "rows columns"]:
         """Return the information of the beams in one direction, from every node of a lattice [nat].
 
-        Args:
-            maps: channels of the map, at least `reach` cells wider than the nodes on every side.
-            first: cell (row, column) of node (0, 0) in `maps`.
-            shape: rows and columns of nodes.
-            direction: index of the direction, 0 to D - 1.
+        `maps` are at least `reach` cells wider than the nodes on every side. `first` is the cell
+        (row, column) of node (0, 0) in them. `direction` is an index.
         """
         read, start = self._read(maps, shape), self._starts(first, self.offset[direction])
         if self.is_simple:
@@ -286,13 +277,9 @@ def window_maps(
 ) -> tuple[CellMaps, Array]:
     """Return the channels around a lattice of nodes, and the position of its first node in them.
 
-    Args:
-        table: table of the beams.
-        belief: occupancy grid.
-        sensor: update of a cell by a measurement.
-        first: cell (row, column) of node (0, 0); it may be off the map.
-        shape: rows and columns of nodes; static.
-        prior: probability of the cells that were never measured; that of the grid when absent.
+    `first` is the cell (row, column) of that node; it may be off the map. `shape` are the rows and
+    columns of nodes; static. `prior` is the probability of the cells that were never measured; that
+    of the grid when None.
     """
     reach = table.reach
     rows, columns = (

@@ -42,10 +42,9 @@ UNROLL = 4
 def is_faster(length: float, stride: int, spacing: float | None) -> bool:
     """Return whether doubling is faster than following every cell of the beams.
 
-    Args:
-        length: length of a beam [cells].
-        stride: number of cells between nodes; doubling evaluates every cell whatever the stride.
-        spacing: angle between beams [rad]; None if near cells are not shared among beams.
+    The length of a beam and the stride between nodes are in cells; doubling evaluates every cell
+    whatever the stride. `spacing` is the angle between beams [rad]; None if near cells are not
+    shared among beams.
     """
     # Nearer than 1 / spacing, where beams are less than a cell apart, doubling saves nothing.
     near = 0.0 if spacing is None else 1.0 / spacing
@@ -144,10 +143,7 @@ class Doubling(eqx.Module):
     ) -> Float[Array, "D rows columns"]:
         """Return the information of the beams in each direction, from every node [nat].
 
-        Args:
-            belief: occupancy grid.
-            sensor: update of a cell by a measurement.
-            interest: additional information (H, W) of observing each cell that a beam passes [nat].
+        `interest` is the additional information of observing each cell that a beam passes [nat].
         """
         probability = settled(belief.probability, sensor)
         gain = expected_gain(probability, sensor)

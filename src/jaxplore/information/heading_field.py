@@ -92,14 +92,7 @@ def at_nodes_figure(
     shape: tuple[int, ...],
     heading: Scalar,
 ) -> "Figure":
-    """Draw what a field reads at the nodes of its lattice with one heading.
-
-    Args:
-        field: function of a position [m] and a heading [rad].
-        frame: pose and node spacing of the lattice.
-        shape: rows and columns of the lattice.
-        heading: heading of the sensor [rad].
-    """
+    """Draw what a field of position [m] and heading [rad] reads at its nodes with one heading."""
     nodes = frame.cell_centre(jnp.stack(jnp.mgrid[: shape[0], : shape[1]], axis=-1))
     values = jax.vmap(jax.vmap(lambda position: field(position, heading)))(nodes)
     return lattice_figure(values, frame, f"information, heading {float(heading):.2f} rad [nat]")

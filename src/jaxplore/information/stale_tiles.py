@@ -16,11 +16,8 @@ def changed_blocks(
 ) -> Bool[Array, "rows columns"]:
     """Return the mask of the blocks with a changed cell, with a margin of unchanged blocks.
 
-    Args:
-        is_changed: changed cells (H, W) of the map.
-        tiles: rows and columns of tiles; static.
-        stride: number of cells between nodes; static.
-        margin: number of blocks around the map; static.
+    `tiles` are the rows and columns of tiles, `stride` the number of cells between nodes, and
+    `margin` the number of blocks around the map; all static.
     """
     side = TILE * stride // BLOCKS
     padding = [
@@ -37,9 +34,7 @@ def touched_tiles(
 ) -> Bool[Array, "tile_rows tile_columns"]:
     """Return the mask of the tiles that have a changed block within the reach of their beams.
 
-    Args:
-        changed: changed blocks with their margin.
-        size: number of blocks on a side of what a tile's beams reach; static.
+    `changed` has a margin. What a tile's beams reach has `size` blocks on a side; static.
     """
     touched: Array = jax.lax.reduce_window(
         changed, False, jax.lax.bitwise_or, (size, size), (BLOCKS, BLOCKS), "VALID"
@@ -50,13 +45,9 @@ def touched_tiles(
 def group_shape(tiles: tuple[int, int], reach: int, stride: int) -> tuple[int, int]:
     """Return the rows and columns of the tiles that are evaluated with the same maps.
 
-    A scan changes cells up to the reach of its beams from the robot, and the information of nodes
-    up to the reach of theirs from these cells.
-
-    Args:
-        tiles: rows and columns of tiles of the lattice.
-        reach: reach of the beams [cells].
-        stride: number of cells between nodes.
+    A scan changes cells up to the reach [cells] of its beams from the robot, and the information of
+    nodes up to the reach of theirs from these cells. `tiles` are the rows and columns of tiles of
+    the lattice, and `stride` the number of cells between nodes.
     """
     most = 1 + -(-4 * reach // (TILE * stride))
     # A last tile is moved inwards, into the one before it, so a group has at least two.
@@ -67,12 +58,7 @@ def group_shape(tiles: tuple[int, int], reach: int, stride: int) -> tuple[int, i
 def first_group(
     pending: Bool[Array, "tile_rows tile_columns"], group: tuple[int, int]
 ) -> Int[Array, "2"]:
-    """Return the first tile (row, column) of a group with the topmost of the pending tiles.
-
-    Args:
-        pending: tiles that are still to be evaluated.
-        group: rows and columns of a group; static.
-    """
+    """Return the first tile (row, column) of a group with the topmost of the pending tiles."""
     rows, columns = pending.shape
     row = jnp.minimum(jnp.argmax(pending.any(axis=1)), rows - group[0])
     band = jax.lax.dynamic_slice_in_dim(pending, row, group[0])
@@ -83,8 +69,7 @@ def first_group(
 def reached_blocks(offset: np.ndarray, stride: int) -> np.ndarray:
     """Return the directions in which beams from a tile's nodes reach each block around the tile.
 
-    Returns:
-        Mask (n, n, D) over blocks and directions, with the tile's own blocks in the middle.
+    The mask is over blocks and directions, (n, n, D), with the tile's own blocks in the middle.
     """
     # For each offset of a beam, its end cells over all nodes of the tile form a rectangle, which
     # covers a rectangle of blocks.

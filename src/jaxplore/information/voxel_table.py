@@ -91,13 +91,8 @@ class VoxelTable(eqx.Module):
     ) -> Float[Array, "A d h w"]:
         """Return the information of each sector from every viewpoint of a lattice [nat].
 
-        Beyond the array nothing passes and nothing is learned.
-
-        Args:
-            probability: probability of occupancy of the voxels.
-            first: voxel (k, j, i) of viewpoint (0, 0, 0); static.
-            shape: numbers of viewpoints along z, y and x; static.
-            sensor: update of a voxel by a measurement.
+        Beyond the array nothing passes and nothing is learned. `first` is the voxel (k, j, i) of
+        viewpoint (0, 0, 0), and `shape` the numbers of viewpoints along z, y and x; both static.
         """
         probability = settled(probability, sensor)
         passing, gains = 1.0 - probability, expected_gain(probability, sensor)
@@ -155,13 +150,8 @@ def band(
 ) -> tuple[np.ndarray, float]:
     """Return unit vectors (3, A E) (x, y, z) in the middles of equal solid angles, and their size.
 
-    Sector a is around the azimuth `(a + 1/2) 2 pi / A`.
-
-    Args:
-        num_sectors: number of sectors, A.
-        num_elevations: number of rays of a sector, E.
-        lowest: elevation of the lower edge of the band [rad].
-        highest: elevation of its upper edge [rad].
+    Each of A sectors has E rays between the edges of the band, two elevations [rad]. Sector a is
+    around the azimuth `(a + 1/2) 2 pi / A`.
     """
     azimuth = (np.arange(num_sectors) + 0.5) * 2.0 * math.pi / num_sectors
     # Zones of equal height on the unit sphere have equal areas (Archimedes).

@@ -177,13 +177,8 @@ class LoopCloser(eqx.Module):
         """Check whether a match agrees with the motion by the pose graph (chi-square test).
 
         Behind a wall, or along a row of shelves, another place looks the same. Within the tolerance
-        the graph is not optimised, so that much of a difference is expected.
-
-        Args:
-            state: state with the loops that were closed before.
-            older: index of the old scan.
-            newer: index of the scan that was matched to its place.
-            found: the match.
+        the graph is not optimised, so that much of a difference is expected. The state has the
+        loops that were closed before. Scan `newer` was matched to the place of scan `older`.
         """
         expected = motion_covariances(pose_graph(state), [older], newer)[0]
         expected = expected + np.asarray(found.covariance, float)
@@ -311,13 +306,8 @@ def _contradicted(sensor: Beams, scan: Scan, other: Scan, motion: Pose) -> Scala
     """Return the share of the points of a scan that lie where beams of another scan passed.
 
     A point contradicts the beam in whose direction it is, and the ones beside it, if it lies more
-    than `CLEAR` before what each of them met.
-
-    Args:
-        sensor: sensor of both scans.
-        scan: the scan.
-        other: the other scan.
-        motion: pose of the first scan in the frame of the other one.
+    than `CLEAR` before what each of them met. `motion` is the pose of the first scan in the frame
+    of the other one.
     """
     points = placed(motion, scan.points(sensor))
     x, y = jnp.unstack(points, axis=1)

@@ -224,11 +224,8 @@ def _velocity(motion: Pose, elapsed: Scalar) -> Velocity:
 def _carried(velocity: Velocity, error: Velocity, turn: Scalar, measured: Scalar) -> Velocity:
     """Return the error of a velocity in the frame after a turn.
 
-    Args:
-        velocity: true velocity (2,) in the frame before it [m/s].
-        error: its error (2,) there.
-        turn: true turn [rad].
-        measured: turn as it is measured [rad].
+    The true velocity and its error are in the frame before the turn [m/s]. `turn` is the true turn,
+    and `measured` the turn as it is measured [rad].
     """
     return _turned(velocity + error, -measured) - _turned(velocity, -turn)
 

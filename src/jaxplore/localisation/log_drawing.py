@@ -54,20 +54,16 @@ class Sampling(eqx.Module):
 
     @classmethod
     def of(cls, log: LaserLog, max_range: float) -> "Sampling":
-        """Estimate it from readings.
+        """Estimate it from readings of at most `max_range` [m].
 
         On a flat surface the inverse of a reading is a cosine of its direction, so that it follows
         from its two neighbours, a step a away on either side:
 
             r_0 = 2 cos(a) / (1 / r_1 + 1 / r_2)
 
-        The difference has one and a half times the variance of a reading where the three are
-        about equal; its median says what that is. Cells are as large as the noise and the distance
+        The difference has one and a half times the variance of a reading where the three are about
+        equal; its median says what that is. Cells are as large as the noise and the distance
         between neighbouring points need.
-
-        Args:
-            log: the log.
-            max_range: range beyond which readings are not used [m].
         """
         ranges = log.ranges
         noise, gaps = USUAL_NOISE, np.zeros(1)
@@ -91,14 +87,10 @@ class Sampling(eqx.Module):
 
 
 def log_sensor(log: LaserLog, max_range: float) -> Lidar:
-    """Return a lidar whose beams are those of a log.
+    """Return a lidar whose beams are those of a log, with readings up to `max_range` [m].
 
     The beams of a `Lidar` are symmetric to the heading. Where those of the log are not, as 180
     beams from -90 degrees, it has one more, which never has a reading.
-
-    Args:
-        log: the log.
-        max_range: range beyond which readings are not used [m].
     """
     step, number = log.angle_increment, log.ranges.shape[1]
     if abs(step * number - math.tau) < 1e-6:
@@ -113,12 +105,7 @@ def frame_around(
 ) -> tuple[GridFrame, tuple[int, int]]:
     """Return the frame and the shape of a map along the axes that holds all points of scans.
 
-    Args:
-        sensor: sensor of the scans.
-        scans: scans of N poses, arrays (N, B).
-        poses: poses (N, 3) [m, m, rad].
-        resolution: side of a cell [m].
-        margin: width of the map around the points [m].
+    The scans are arrays (N, B). The map is `margin` [m] wider than the points on each side.
 
     Raises:
         ValueError: a map of more than 40 million cells.
@@ -142,14 +129,7 @@ def frame_around(
 
 
 def draw_map(sensor: Sensor, scans: Scan, poses: _Floats, resolution: float) -> OccupancyGrid:
-    """Return the occupancy grid of scans at poses.
-
-    Args:
-        sensor: sensor of the scans.
-        scans: scans of N poses, arrays (N, B).
-        poses: poses (N, 3) [m, m, rad].
-        resolution: side of a cell [m].
-    """
+    """Return the occupancy grid of scans, in arrays (N, B), at poses (N, 3)."""
     frame, shape = frame_around(sensor, scans, poses, resolution, resolution)
     blank = OccupancyGrid.unknown(shape, frame)
     # Beams without an echo often met glass or something black: they say nothing of what is free.
@@ -177,13 +157,7 @@ def _drawn(
 
 
 def all_scans(log: LaserLog, sensor: Beams, used: NDArray[np.int64]) -> Scan:
-    """Return some scans of a log, in arrays (N, B).
-
-    Args:
-        log: the log.
-        sensor: sensor that they are for.
-        used: indices (N,) of the scans.
-    """
+    """Return some scans of a log for a sensor, in arrays (N, B); `used` are their indices (N,)."""
     scans = [log.scan(int(index), sensor) for index in used]
     return Scan(
         jnp.asarray(np.stack([np.asarray(each.ranges) for each in scans])),

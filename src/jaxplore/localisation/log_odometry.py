@@ -37,14 +37,9 @@ def drifted_motions(
 ) -> tuple[Float[Array, "N 3"], Float[Array, " N"]]:
     """Return the motions between the poses of a log as an odometry measures them, and their times.
 
-    Args:
-        log: the log, whose poses are taken for the truth.
-        odometry: its errors.
-        key: random key of the errors.
-
-    Returns:
-        Motions (N, 3) to each scan from the one before it, zero for the first one, in the frame of
-        that one [m, m, rad]; times (N,) that they took [s].
+    The poses are taken for the truth. Each motion (N, 3) leads to a scan from the one before it, in
+    the frame of that one [m, m, rad]; the first is zero. Each time (N,) is how long a motion took
+    [s].
     """
     true = steps_along(log.poses)
     taken = jnp.asarray(np.diff(log.times, prepend=log.times[:1]), jnp.float32)
@@ -67,11 +62,8 @@ def fit_odometry(measured: _Floats, matched: _Floats) -> Odometry:
 
     are fitted by least squares that are weighted by the inverse of the variance so far, none of the
     coefficients negative. Where scans measure nothing, as along a corridor, matched poses follow
-    the odometry, and the errors of others count less.
-
-    Args:
-        measured: motions (N, 3) by the odometry, each in the frame of its beginning [m, m, rad].
-        matched: poses (N + 1, 3) by the scans [m, m, rad].
+    the odometry, and the errors of others count less. Each of the N measured motions is in the
+    frame of its beginning. There are N + 1 matched poses.
     """
     moved = motions_between(matched[:-1], matched[1:])
     error = measured - moved

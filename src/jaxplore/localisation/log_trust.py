@@ -58,13 +58,8 @@ def judge_poses(
     the same walls. A point of the one that lies well before what a beam of the other one met is
     where that beam has seen free space: one of the two poses is wrong, or something has moved. The
     true poses do not enter. Of what is seen once only the covariances of the motions tell how
-    exactly it is known.
-
-    Args:
-        log: the log.
-        poses: poses (N, 3) of its scans [m, m, rad].
-        max_range: range beyond which readings are not used [m].
-        expected_error: error of the positions by the covariances of the motions [m].
+    exactly it is known; `expected_error` [m] is by them. Readings beyond `max_range` [m] are not
+    used.
     """
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     places, steps = [], []
@@ -124,12 +119,8 @@ def _seen(
 ) -> tuple[int, int, int]:
     """Return how many points of a scan are before what another one met, on it, and in its view.
 
-    Args:
-        log: the log.
-        scan: index of the scan.
-        other: index of the other one.
-        motion: pose of the first in the frame of the other.
-        max_range: range beyond which readings are not used [m].
+    `scan` and `other` are indices. `motion` is the pose of the first in the frame of the other.
+    Readings beyond `max_range` [m] are not used.
     """
     is_point = (log.ranges[scan] < max_range) & (log.ranges[scan] > 0.0)
     ranges, angles = log.ranges[scan][is_point], motion[2] + log.beam_angles[is_point]

@@ -281,12 +281,7 @@ class ParticleLocaliser(PoseEstimator):
 
 
 def _learned(state: ParticleState, found: PoseEstimate) -> ErrorEstimate | None:
-    """Return what a scan tells of the odometry's errors.
-
-    Args:
-        state: state before the scan.
-        found: pose at the scan.
-    """
+    """Return what a scan tells of the odometry's errors; `state` is that before the scan."""
     errors, before = state.errors, state.found
     if errors is None:
         return None

@@ -91,17 +91,12 @@ def motion_covariances(graph: Graph, nodes: Sequence[int], end: int) -> np.ndarr
     """Return how exactly the motions b from some nodes to another one are known, (M, 3, 3).
 
     They are in the frames of the nodes j that the motions begin at, by the joint covariance with
-    the node n where they end, at the poses of the graph:
+    the node n where they end (`end`), at the poses of the graph:
 
         Sigma = R_b (J Cov(j, n) J') R_b',  J = [-Ad(b^-1), 1].
 
     Source: Kaess and Dellaert, "Covariance recovery from a square root information matrix for data
     association", Robotics and Autonomous Systems 2009.
-
-    Args:
-        graph: the graph.
-        nodes: indices of the M nodes at which the motions begin.
-        end: index of the node at which they end.
 
     Raises:
         ValueError: something else than a graph, an index that is not one of another node; GTSAM is
@@ -143,12 +138,7 @@ def expected_error(graph: Graph) -> float:
         sqrt(trace((1 - P) S) / M),   P = A (A' A)^-1 A'
 
     The columns of A are the displacements of all M positions by a translation and by a turn.
-
-    Args:
-        graph: the graph.
-
-    Raises:
-        ValueError: something else than a graph; GTSAM is not installed.
+    Without GTSAM, and for something else than a graph, it raises a `ValueError`.
     """
     _kinds.instance("graph", graph, Graph)
     nodes = np.unique(np.linspace(0, len(graph.poses) - 1, MOST_NODES).round().astype(int))

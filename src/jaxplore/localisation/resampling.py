@@ -16,13 +16,10 @@ def effective_sample_size(weights: Weights) -> Scalar:
 def low_variance_indices(weights: Weights, offset: Scalar) -> Int[Array, " K"]:
     """Draw K particles by the low-variance sampler: particle i floor(K w_i) or ceil(K w_i) times.
 
-    Draw j is the first particle whose cumulative weight exceeds `(j + offset) / K`.
+    Draw j is the first particle whose cumulative weight exceeds `(j + offset) / K`. The weights add
+    up to 1, and the offset is random, uniform in [0, 1).
 
     Source: Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, table 4.4.
-
-    Args:
-        weights: weights (K,), which add up to 1.
-        offset: random number that is uniform in [0, 1).
     """
     number = weights.shape[0]
     return indices_at(weights, (jnp.arange(number, dtype=jnp.float32) + offset) / number)
@@ -31,9 +28,7 @@ def low_variance_indices(weights: Weights, offset: Scalar) -> Int[Array, " K"]:
 def indices_at(weights: Weights, levels: Float[Array, " M"]) -> Int[Array, " M"]:
     """Return the first particle (M,) whose cumulative weight exceeds each level in [0, 1).
 
-    Args:
-        weights: weights (K,), which add up to 1.
-        levels: the levels (M,).
+    The weights add up to 1.
     """
     cumulative = jnp.cumsum(weights)
     # The sum is 1 only up to rounding; a level beyond it would be a particle without weight.

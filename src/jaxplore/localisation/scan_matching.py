@@ -276,9 +276,8 @@ class ScanMatcher(eqx.Module):
 def _rows(slope: Float[Array, "N 2"], arm: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
     """Return the derivatives (N, 3) of distances by the pose.
 
-    Args:
-        slope: (N, 2) gradients of the distances at the end points.
-        arm: (N, 2) end points relative to the sensor, in the world [m].
+    `slope` are the gradients of the distances at the end points, and `arm` the end points relative
+    to the sensor, in the world [m].
     """
     by_yaw = slope[:, 1] * arm[:, 0] - slope[:, 0] * arm[:, 1]
     return jnp.concatenate([slope, by_yaw[:, None]], axis=1)

@@ -34,12 +34,7 @@ class StoredScans(NamedTuple):
 
     @classmethod
     def none(cls, capacity: int, sensors: Sequence[Beams]) -> "StoredScans":
-        """Return room for scans.
-
-        Args:
-            capacity: greatest number of scans.
-            sensors: the sensors.
-        """
+        """Return room for `capacity` scans of some sensors."""
         beams = sum(each.num_beams for each in sensors)
         poses = jnp.zeros((capacity, 3))
         return cls(
@@ -71,15 +66,9 @@ class StoredScans(NamedTuple):
         way: Scalar,
         scans: Sequence[Scan],
     ) -> "StoredScans":
-        """Return the scans with another one; unchanged where there is no room.
+        """Return the scans with another one if it is due; unchanged where there is no room.
 
-        Args:
-            is_due: whether it is stored.
-            pose: its pose.
-            motion: measured motion from the scan before it.
-            covariance: covariance (3, 3) of the motion.
-            way: length of the robot's way [m].
-            scans: a scan of each sensor.
+        The motion is measured from the scan before it. `way` is the length of the robot's way [m].
         """
         # Written in place: a branch would copy the arrays.
         at = jnp.where(is_due, self.number, self.capacity)
@@ -96,12 +85,7 @@ class StoredScans(NamedTuple):
         )
 
     def scan(self, index: Count, sensors: Sequence[Beams]) -> tuple[Scan, ...]:
-        """Return a stored scan of each sensor.
-
-        Args:
-            index: index of the scan.
-            sensors: the sensors.
-        """
+        """Return a stored scan of each sensor."""
         scans, begin = [], 0
         for each in sensors:
             end = begin + each.num_beams
@@ -129,11 +113,7 @@ class Closures(NamedTuple):
 
     @classmethod
     def none(cls, capacity: int) -> "Closures":
-        """Return room for closed loops.
-
-        Args:
-            capacity: their greatest number.
-        """
+        """Return room for `capacity` closed loops."""
         nothing = jnp.zeros((), jnp.int32)
         return cls(
             jnp.zeros((capacity, 2), jnp.int32),

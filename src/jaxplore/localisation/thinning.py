@@ -31,9 +31,6 @@ def thinned(state: LocaliserState) -> LocaliserState:
 
     Motions between neighbours are composed, with their covariances. A closed loop of a scan that is
     left out becomes one of the scan before it.
-
-    Args:
-        state: state of a localiser.
     """
     scans, closures = state.scans, state.closures
     first, second = scans.motions[1::2], jnp.roll(scans.motions, -1, axis=0)[1::2]

@@ -42,10 +42,7 @@ def closed_cells(
 ) -> GridMask:
     """Return the mask of the cells that are not known to be free, or that the ground blocks.
 
-    Args:
-        grid: the map.
-        ground: ground of its cells; None if it is level.
-        window: part of the map; all of it when absent.
+    Without a ground the map is level. Without a window the mask is of the whole map.
     """
     probability = grid.probability if window is None else window.read(grid.probability)
     closed = ~(probability < FREE_THRESHOLD)
@@ -67,12 +64,8 @@ def update_clearance(
     around these. The cost is that of a map as large as the window and twice the bound on each side.
     The result equals that of `clearance_field` to the bit.
 
-    Args:
-        field: clearance of the map before.
-        window: part of the map that may have changed.
-        blocked: function that returns the mask of the cells of a part of the map that may not be
-            entered.
-        max_distance: upper bound of the distance [m]; static.
+    The bound is `max_distance` [m]; static. `blocked` returns the mask of the cells of a part of
+    the map that may not be entered.
     """
     reach = _reach(max_distance, field.frame.resolution)
     inner, outer = window.grown(reach), window.grown(2 * reach)

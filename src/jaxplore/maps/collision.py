@@ -24,15 +24,8 @@ def footprint_clearance(
     """Compute the distance from a robot's edge to the nearest solid square cell [m].
 
     Exact for a disc and for a rectangle; for another footprint, the distance from the discs that
-    cover it. See `disc_clearance` and `rectangle_clearance`.
-
-    Args:
-        solid: (H, W) solid cells.
-        frame: pose and resolution of the grid.
-        position: position (x, y) of the robot in the world [m].
-        heading: heading of the robot in the world [rad].
-        footprint: footprint of the robot.
-        reach: number of cells that are examined in each direction, see `clearance_reach`; static.
+    cover it. See `disc_clearance` and `rectangle_clearance`. The pose is in the world. `reach` is
+    static; see `clearance_reach`.
     """
     if isinstance(footprint, Rectangle):
         in_grid, turn = frame.to_grid(position), heading - frame.origin[2]
@@ -49,15 +42,9 @@ def disc_clearance(
 ) -> Scalar:
     """Compute the distance from a disc's edge to the nearest solid square cell [m].
 
-    Exact for cells within `reach` cells of the disc's centre, and limited to that distance.
-    Everything off the map is solid. Negative where they overlap.
-
-    Args:
-        solid: (H, W) solid cells.
-        grid: (row, column) coordinates of the disc's centre [cells].
-        radius: radius of the disc [m].
-        resolution: side of a cell [m].
-        reach: cells looked at in each direction; static.
+    Exact for cells within `reach` cells (static) of the disc's centre, and limited to that
+    distance. Everything off the map is solid. Negative where they overlap. The centre `grid` is
+    (row, column) in cells, the radius in metres.
     """
     rows, columns, is_solid = _around(solid, grid, reach)
 
@@ -85,19 +72,12 @@ def rectangle_clearance(
     They overlap if no edge normal separates them (separating axis theorem). Then it is minus the
     penetration depth, the shortest translation that separates them, which is along an edge normal.
 
-    Exact for cells within `reach` cells of the rectangle's origin, and limited to the least
-    distance of a cell beyond them. Everything off the map is solid.
+    Exact for cells within `reach` cells (static) of the rectangle's origin, and limited to the
+    least distance of a cell beyond them. Everything off the map is solid. The origin `grid` is
+    (row, column) in cells. The heading is in the grid's frame, from the column axis to the row
+    axis.
 
     Source: Ericson, "Real-Time Collision Detection", 2005, section 5.2.1 (separating axes).
-
-    Args:
-        solid: (H, W) solid cells.
-        grid: (row, column) coordinates of the rectangle's origin [cells].
-        heading: heading of the rectangle in the grid's frame, from the column axis to the row axis
-            [rad].
-        footprint: the rectangle.
-        resolution: side of a cell [m].
-        reach: cells looked at in each direction; static.
     """
     rows, columns, is_solid = _around(solid, grid, reach)
     front, rear = footprint.front / resolution, footprint.rear / resolution
@@ -149,14 +129,8 @@ def discs_clearance(
     """Compute the distance from a robot's edge to the nearest of M discs [m].
 
     Exact for a disc and for a rectangle, negative where they overlap; for another footprint, the
-    distance from the discs that cover it. Infinite without discs.
-
-    Args:
-        centres: (M, 2) centres of the discs in the world [m].
-        radii: (M,) radii of the discs [m].
-        position: position (x, y) of the robot in the world [m].
-        heading: heading of the robot in the world [rad].
-        footprint: footprint of the robot.
+    distance from the discs that cover it. Infinite without discs. Positions and heading are in the
+    world.
     """
     if isinstance(footprint, Rectangle):
         x, y = centres[:, 0] - position[0], centres[:, 1] - position[1]
@@ -177,10 +151,7 @@ def discs_clearance(
 def clearance_reach(footprint: Footprint | float, resolution: float, margin: float = 0.5) -> int:
     """Return the number of cells to examine for a clearance that is exact up to `margin` [m].
 
-    Args:
-        footprint: footprint of the robot; a number is the radius of a disc [m].
-        resolution: side of a cell [m].
-        margin: distance up to which the clearance is exact [m].
+    A number as the footprint is the radius of a disc [m].
     """
     if isinstance(footprint, Rectangle):
         ends = max(float(footprint.front), float(footprint.rear))

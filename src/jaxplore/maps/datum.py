@@ -111,14 +111,9 @@ ORIGIN = Datum()
 
 
 def moved(points: Rows, offset: np.ndarray, columns: tuple[int, int] = (0, 1)) -> np.ndarray:
-    """Return points (..., N) with an offset (2,) added to two columns, in float64.
+    """Return points (..., N) in float64 with an offset (x, y) added to the columns of x and y.
 
     An offset of zero changes nothing, the type included.
-
-    Args:
-        points: the points.
-        offset: x and y of the offset [m].
-        columns: columns of x and y.
     """
     given = np.asarray(points)
     if not offset.any():

@@ -34,17 +34,12 @@ class Stencil(NamedTuple):
 
 
 def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5) -> Stencil:
-    """Return the nodes around a point and their bilinear weights.
+    """Return the nodes around a point (row, column) [cells] and their bilinear weights.
 
     Node (row, column) is at the centre of its cell, at grid coordinates
-    `(row + 1/2, column + 1/2)`. Up to `margin` beyond the outermost nodes the value of the edge is
-    used. A point farther out is outside, and so is a point with a coordinate that is not finite.
-
-    Args:
-        shape: rows and columns of the lattice.
-        grid: grid coordinates (row, column) of the point [cells].
-        margin: width of the border beyond the outermost nodes that still counts as inside [cells];
-            with 1/2 the lattice covers its cells, with 0 it ends at its nodes.
+    `(row + 1/2, column + 1/2)`. Up to `margin` [cells] beyond the outermost nodes the value of the
+    edge is used: with 1/2 the lattice covers its cells, with 0 it ends at its nodes. A point
+    farther out is outside, and so is a point with a coordinate that is not finite.
     """
     height, width = shape
     row, column = jnp.unstack(grid - 0.5)
@@ -72,13 +67,9 @@ def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5
 def gather(
     values: Float[Array, "*S"], around: Stencil, outside: Scalar | float, channel: Count | int = 0
 ) -> Scalar:
-    """Return the interpolated value of one channel at a point.
+    """Return one channel of node values (H, W) or (C, H, W), interpolated at a point.
 
-    Args:
-        values: node values (H, W) or (C, H, W).
-        around: nodes and weights of the point, from `stencil`.
-        outside: value for a point off the lattice.
-        channel: index of the channel, 0 to C - 1.
+    Off the lattice it is `outside`.
     """
     height, width = values.shape[-2:]
     # Use one flat index: a multi-dimensional gather needs a multiplication and a bounds check per
@@ -94,12 +85,9 @@ def gather(
 def bilinear(
     values: Float[Array, "H W"], grid: Float[Array, "2"], outside: Scalar | float
 ) -> Scalar:
-    """Return the bilinear interpolation of node values (H, W) at a point; see `stencil`.
+    """Return the bilinear interpolation of node values (H, W) at a point (row, column) [cells].
 
-    Args:
-        values: node values (H, W).
-        grid: grid coordinates (row, column) of the point [cells].
-        outside: value for a point off the lattice.
+    Off the lattice it is `outside`; see `stencil`.
     """
     height, width = values.shape
     return gather(values, stencil((height, width), grid), outside)

@@ -49,19 +49,11 @@ class GridFrame(eqx.Module):
         self.map_shape = None
 
     def padded(self, map_shape: tuple[int, int]) -> "GridFrame":
-        """Return the frame of larger arrays.
-
-        Args:
-            map_shape: number of rows and columns that are on the map.
-        """
+        """Return the frame of larger arrays with `map_shape` rows and columns on the map."""
         return self._of_map(on_device(np.asarray(map_shape, np.int32)))
 
     def cropped(self, values: ArrayLike) -> np.ndarray:
-        """Return the rows and columns of an array (H, W, ...) that are on the map, in NumPy.
-
-        Raises:
-            ValueError: something else than such an array.
-        """
+        """Return the rows and columns of an array (H, W, ...) that are on the map, in NumPy."""
         array = np.asarray(values)
         if array.ndim < 2 or array.dtype.kind in "OUS":
             raise ValueError(
@@ -98,12 +90,7 @@ class GridFrame(eqx.Module):
         return self.to_world(cell.astype(jnp.float32) + 0.5)
 
     def distances(self, point: Position, shape: tuple[int, ...]) -> Float[Array, "rows columns"]:
-        """Return the distance of a world point (x, y) from the centre of each cell [m].
-
-        Args:
-            point: the point [m].
-            shape: rows and columns of the cells; static.
-        """
+        """Return the distance of a world point from each cell's centre [m]; `shape` is static."""
         # Rows and columns apart: an array of the positions of all cells takes longer to make and to
         # read than all else that is done with the distances.
         along = [
@@ -118,13 +105,8 @@ class GridFrame(eqx.Module):
         """Return the frame of a coarser lattice with one node every `stride` cells.
 
         Node (i, j), the centre of cell (i, j) of the new frame, is at the grid coordinates
-        `first + (i * stride + node, j * stride + node)` of this frame. A lattice that begins at a
-        cell of its own has no `map_shape`.
-
-        Args:
-            stride: number of cells between nodes.
-            node: offset of node (0, 0) from the corner of cell `first` [cells].
-            first: cell (row, column) at which the lattice begins; (0, 0) by default.
+        `first + (i * stride + node, j * stride + node)` of this frame. `first` is the cell at which
+        the lattice begins, by default (0, 0). A lattice with a `first` has no `map_shape`.
         """
         # The new frame's origin is the outer corner of its first cell, half a stride before node 0.
         corner = jnp.full(2, node - stride / 2.0)

@@ -11,22 +11,15 @@ Values = NDArray[np.float64]
 def hill_elevation(
     hills: Rows, shape: tuple[int, int], resolution: float, corner: Vector = (0.0, 0.0)
 ) -> Values:
-    """Return the elevation at the centre of each cell, the sum of hills
+    """Return the elevation (H, W) at the centre of each cell [m], the sum of hills
 
         z(d) = height cos^2(pi d / (2 radius))  for d < radius,  0 beyond
 
     with d the distance from the top of the hill. A hill is smooth and exactly 0 outside its radius.
     Its greatest slope is `|height| pi / (2 radius)`, half-way down. A negative height is a pit.
 
-    Args:
-        hills: hills (N, 4) as finite numbers (x, y, height, radius) in the world [m], radius > 0;
-            N may be 0.
-        shape: rows and columns of the map.
-        resolution: side of a cell [m].
-        corner: outer corner (x, y) of cell (0, 0) [m].
-
-    Returns:
-        Elevation (H, W) [m].
+    Hills (N, 4) are finite numbers (x, y, height, radius) in the world [m], radius > 0; N may be 0.
+    `corner` is the outer corner (x, y) of cell (0, 0) [m].
     """
     elevation = np.zeros(shape)
     for x, y, height, radius in np.reshape(np.asarray(hills, np.float64), (-1, 4)):
@@ -42,14 +35,7 @@ def hill_elevation(
 def is_on_map(
     hill: Vector, shape: tuple[int, int], resolution: float, corner: Vector = (0.0, 0.0)
 ) -> bool:
-    """Return whether the centre of some cell is within a hill's radius.
-
-    Args:
-        hill: four finite numbers (x, y, height, radius) in the world [m].
-        shape: rows and columns of the map.
-        resolution: side of a cell [m].
-        corner: outer corner (x, y) of cell (0, 0) [m].
-    """
+    """Return whether the centre of some cell is within a hill's radius; see `hill_elevation`."""
     x, y, _, radius = np.asarray(hill, np.float64)
     nearest = (np.abs(gap).min() for gap in _gaps((x, y), shape, resolution, corner))
     return bool(np.hypot(*nearest) < radius)

@@ -28,13 +28,8 @@ def lattice_figure(
     """Draw values (H, W) at their place in the world, with a colour bar.
 
     Values that are not finite are left blank. Of padded arrays only the part on the map is drawn.
-
-    Args:
-        values: value of each cell.
-        frame: pose and cell size of the lattice.
-        label: label of the colour bar, with the unit.
-        colours: name of a colour map of Matplotlib.
-        limits: values at the ends of the colour bar; those of the data when absent.
+    The colour bar has a label, with the unit, and ends at `limits`, by default those of the data.
+    `colours` is a colour map of Matplotlib.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -26,13 +26,9 @@ def _padded_side(side: int) -> int:
 def padded_cells(
     name: str, values: np.ndarray, shape: tuple[int, int], value: float | bool
 ) -> np.ndarray:
-    """Return an array (H, W, ...) with rows and columns added at its end.
+    """Return an array (H, W, ...) with rows and columns of a value added at its end.
 
-    Args:
-        name: name of the argument `shape`, for the message.
-        values: array (H, W, ...).
-        shape: rows and columns after padding.
-        value: value of the added cells.
+    `shape` has the rows and columns after padding; messages call it `name`.
 
     Raises:
         ValueError: something else than two whole numbers; fewer rows or columns than the array has.
@@ -47,14 +43,10 @@ def padded_cells(
 
 
 def common_shapes(shapes: dict[str, tuple[int, int]], most: int) -> dict[str, tuple[int, int]]:
-    """Choose a padded shape for each of several maps, with few different shapes in all.
+    """Choose a padded shape for each of several maps, with at most `most` different shapes in all.
 
-    Begins with `padded_shape` of each map. While there are more than `most` shapes, the two whose
-    maps need the fewest additional cells in a common one are merged.
-
-    Args:
-        shapes: rows and columns of each map, by name.
-        most: greatest number of different shapes.
+    Begins with `padded_shape` of each map. While there are more shapes, the two whose maps need the
+    fewest additional cells in a common one are merged.
     """
     groups: dict[tuple[int, int], list[str]] = {}
     for name, shape in shapes.items():

@@ -24,7 +24,7 @@ Window = tuple[slice, slice]
 
 
 def segment_mask(segments: Rows, frame: GridFrame, shape: tuple[int, int], reach: float) -> Mask:
-    """Return the cells whose centre is within a distance `reach` of a segment.
+    """Return the cells (H, W) whose centre is within a distance `reach` [m] of a segment.
 
         min over t in [0, 1] of |c - a - t (b - a)| <= reach
 
@@ -32,17 +32,8 @@ def segment_mask(segments: Rows, frame: GridFrame, shape: tuple[int, int], reach
     if it is steep), the nearest centre is at most half a cell away. A segment with no centre within
     reach marks the cell of its midpoint.
 
-    Args:
-        segments: end points (N, 4) as (x1, y1, x2, y2) in the world [m]; N may be 0.
-        frame: pose and cell size of the map.
-        shape: rows and columns of the map.
-        reach: half the thickness of the segments [m].
-
-    Returns:
-        Mask (H, W) of the cells that some segment covers.
-
-    Raises:
-        ValueError: a row that is not four finite numbers, a negative reach.
+    Segments (N, 4) are (x1, y1, x2, y2) in the world [m]; N may be 0. A row that is not four finite
+    numbers, or a negative reach, raises a `ValueError`.
     """
     reach = _checks.number("reach", reach, at_least=0.0)
     mask = np.zeros(shape, bool)
@@ -64,24 +55,16 @@ def segment_mask(segments: Rows, frame: GridFrame, shape: tuple[int, int], reach
 def rectangle_mask(
     rectangles: Rows, frame: GridFrame, shape: tuple[int, int], *, is_solid: bool = True
 ) -> Mask:
-    """Return the cells whose centre is in a rectangle, `[x_min, x_max) x [y_min, y_max)`.
+    """Return the cells (H, W) whose centre is in a rectangle, `[x_min, x_max) x [y_min, y_max)`.
 
     Rectangles are aligned with the axes of the world. Two that share an edge share no cell, as in
-    `jaxplore.belief.Zones.from_rectangles`. A solid side shorter than a cell is lengthened to one
-    cell about the same middle, with both ends included, so that a thin wall has no gaps. On a grid
-    without yaw this adds no cell where a centre is inside already.
+    `jaxplore.belief.Zones.from_rectangles`. With `is_solid` a side shorter than a cell is
+    lengthened to one cell about the same middle, with both ends included, so that a thin wall has
+    no gaps. On a grid without yaw this adds no cell where a centre is inside already. Otherwise a
+    rectangle that contains no cell centre marks no cell.
 
-    Args:
-        rectangles: rectangles (N, 4) as (x_min, y_min, x_max, y_max) in the world [m]; N may be 0.
-        frame: pose and cell size of the map.
-        shape: rows and columns of the map.
-        is_solid: whether rectangles that contain no cell centre still mark a cell.
-
-    Returns:
-        Mask (H, W) of the cells that some rectangle covers.
-
-    Raises:
-        ValueError: a row that is not four finite numbers, a minimum that is not below its maximum.
+    Rectangles (N, 4) are (x_min, y_min, x_max, y_max) in the world [m]; N may be 0. A row that is
+    not four finite numbers, or a minimum that is not below its maximum, raises a `ValueError`.
     """
     mask = np.zeros(shape, bool)
     rows = _rows(
@@ -108,20 +91,12 @@ def rectangle_mask(
 
 
 def disc_mask(discs: Rows, frame: GridFrame, shape: tuple[int, int]) -> Mask:
-    """Return the cells whose centre is in a disc, `|c - (x, y)| <= radius`.
+    """Return the cells (H, W) whose centre is in a disc, `|c - (x, y)| <= radius`.
 
     A disc that contains no cell centre marks the cell of its own centre.
 
-    Args:
-        discs: discs (N, 3) as (x, y, radius) in the world [m]; N may be 0.
-        frame: pose and cell size of the map.
-        shape: rows and columns of the map.
-
-    Returns:
-        Mask (H, W) of the cells that some disc covers.
-
-    Raises:
-        ValueError: a row that is not three finite numbers, a radius that is not positive.
+    Discs (N, 3) are (x, y, radius) in the world [m]; N may be 0. A row that is not three finite
+    numbers, or a radius that is not positive, raises a `ValueError`.
     """
     mask = np.zeros(shape, bool)
     accepted = "(N, 3) finite numbers (x, y, radius), radius > 0"

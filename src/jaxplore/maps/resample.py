@@ -17,7 +17,7 @@ SLIVER = 1e-6
 def resample(
     probability: NDArray[np.floating], resolution: float, new_resolution: float
 ) -> NDArray[np.floating]:
-    """Return a map with cells of another size and the same outer corner of cell (0, 0).
+    """Return a map with cells of another size [m] and the same outer corner of cell (0, 0).
 
     Each new cell takes the most cautious value among the old cells that it overlaps:
 
@@ -27,16 +27,8 @@ def resample(
     - else, all being free, the largest.
 
     So no wall is lost and no unknown cell becomes free. The last row and column may reach beyond
-    the old map; the part beyond is ignored.
-
-    Args:
-        probability: probability of occupancy (H, W) in [0, 1].
-        resolution: side of an old cell [m].
-        new_resolution: side of a new cell [m].
-
-    Returns:
-        Probability (ceil(H resolution / new_resolution), ceil(W resolution / new_resolution)), in
-        the dtype of the input.
+    the old map; the part beyond is ignored. The result has `ceil(H resolution / new_resolution)`
+    rows, likewise columns, and the dtype of the input.
 
     Raises:
         ValueError: a map that is empty or not two-dimensional, a resolution that is not positive,

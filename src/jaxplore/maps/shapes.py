@@ -34,8 +34,7 @@ class Shapes:
 def shapes_under(name: str, entries: object) -> Shapes:
     """Return the shapes under an entry of a world.
 
-    Raises:
-        ValueError: no mapping, or a shape that `Shapes` refuses; one line that names the entry.
+    No mapping, or a shape that `Shapes` refuses, raises a `ValueError` that names the entry.
     """
     if not isinstance(entries, Mapping):
         raise ValueError(

@@ -12,11 +12,9 @@ from jaxplore.maps.window import Window, near_faces
 
 
 def clearance_of_volume(grid: VoxelGrid, reach: int) -> VolumeField:
-    """Return the distance to the nearest voxel that is not known to be free, of a whole map [m].
+    """Return the distance of each voxel's centre from the nearest voxel not known to be free [m].
 
-    Args:
-        grid: log-odds of the voxels.
-        reach: greatest distance of interest [voxels]; static.
+    `reach` is the greatest distance of interest [voxels]; static.
     """
     side, shape = grid.resolution, grid.shape
     nothing = jnp.zeros(shape)
@@ -28,14 +26,10 @@ def clearance_of_volume(grid: VoxelGrid, reach: int) -> VolumeField:
 def renewed_clearance(
     grid: VoxelGrid, before: Float[Array, "D H W"], window: Window, reach: int
 ) -> Float[Array, "D H W"]:
-    """Return the distance from each voxel's centre to the nearest voxel that is not known to be
-    free [m], with what is new in a window.
+    """Return the distances of `clearance_of_volume` [m] after a change in a window.
 
-    Args:
-        grid: log-odds of the voxels.
-        before: the distances before something changed in the window.
-        window: box of voxels that has twice the reach around all that has changed.
-        reach: greatest distance of interest [voxels]; static.
+    `before` are the distances before the change. The window has twice the reach around all that has
+    changed.
     """
     seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
     # Beyond the map all is closed.
@@ -55,14 +49,12 @@ def squared_distance(closed: Bool[Array, "D H W"], reach: int) -> Int[Array, "D 
 
         d^2(k, j, i) = min over m, n of  d_x^2(k + m, j + n, i) + n^2 + m^2
 
+    Beyond the array nothing is closed. Distances greater than `reach` [voxels] (static) are
+    `(reach + 1)^2`: offsets beyond it are left out.
+
     Source: Maurer, Qi and Raghavan, "A linear time algorithm for computing exact Euclidean distance
     transforms of binary images in arbitrary dimensions", PAMI 2003, whose passes over the axes
-    these are. Offsets beyond the reach are left out.
-
-    Args:
-        closed: the closed voxels. Beyond the array nothing is closed.
-        reach: greatest distance of interest [voxels]; static. Greater distances are
-            `(reach + 1)^2`.
+    these are.
     """
     far = (reach + 1) ** 2
     # The sum of two squares must fit. With 16 bits the passes take a seventh of the time that they

@@ -17,12 +17,8 @@ from jaxplore.maps.frame import GridFrame
 class Window(eqx.Module):
     """A box of cells of a map of n axes. Its shape is static, and its place may be traced.
 
-    A map that is no larger than the window is the window: nothing is cut out then.
-
-    Args:
-        corner: first cell, such as (row, column).
-        shape: number of cells along each axis; static.
-        map_shape: shape of the map's arrays; static.
+    A map that is no larger than the window is the window: nothing is cut out then. `corner` is the
+    first cell, such as (row, column). `map_shape` is the shape of the map's arrays.
     """
 
     corner: Int[Array, " n"]
@@ -35,11 +31,7 @@ class Window(eqx.Module):
     ) -> "Window":
         """Return a window of a map with a first cell; at the border of the map it is moved inwards.
 
-        Args:
-            corner: first cell.
-            shape: number of cells along each axis, of which no more are taken than the map has;
-                static.
-            map_shape: shape of the map's arrays; static.
+        Along each axis it has no more cells than the map. Both shapes are static.
         """
         sizes = tuple(min(own, size) for own, size in zip(shape, map_shape, strict=True))
         farthest = np.subtract(map_shape, sizes).astype(np.int32)
@@ -49,26 +41,16 @@ class Window(eqx.Module):
     def around(
         cls, position: Position, reach: float, frame: GridFrame, map_shape: tuple[int, int]
     ) -> "Window":
-        """Return the window that holds all cells of the map within a distance of a position.
+        """Return the window that holds all cells of the map within `reach` [m] of a position.
 
-        Around a position that is not finite it is anywhere.
-
-        Args:
-            position: position (x, y) in the world [m].
-            reach: distance [m]; static.
-            frame: pose and cell size of the map.
-            map_shape: rows and columns of the map's arrays; static.
+        Around a position that is not finite it is anywhere. `reach` and `map_shape` are static.
         """
         # One cell more: a reading at the greatest range is taken to lie behind it (`Sensor.sight`).
         cells = math.ceil(reach / frame.resolution) + 1
         return cls.at(frame.to_cell(position) - cells, [2 * cells + 1] * 2, map_shape)
 
     def grown(self, margin: int) -> "Window":
-        """Return the window with as many cells more on each side, as far as the map is.
-
-        Args:
-            margin: number of cells; static.
-        """
+        """Return the window with `margin` cells (static) more on each side, within the map."""
         shape = [size + 2 * margin for size in self.shape]
         return Window.at(self.corner - margin, shape, self.map_shape)
 
@@ -116,12 +98,9 @@ def read_first(window: Window, values: Array) -> tuple[Array, Array]:
 def near_faces(
     shape: Sequence[int], which: Bool[Array, "n 2"], width: int
 ) -> Bool[Array, "*shape"]:
-    """Return the mask of the cells of a box that are near some of its faces.
+    """Return the mask of the cells of a box that are within `width` cells of some of its faces.
 
-    Args:
-        shape: number of cells along each axis; static.
-        which: whether the low and the high face across each axis count.
-        width: number of cells; static.
+    `which` tells whether the low and the high face across each axis count.
     """
     near = jnp.zeros(shape, bool)
     for axis, size in enumerate(shape):

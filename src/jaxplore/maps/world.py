@@ -251,11 +251,8 @@ def is_world_file(path: str | os.PathLike[str]) -> bool:
 def world_shape(entries: Mapping[Any, Any]) -> tuple[tuple[float, float], float]:
     """Return the rows and columns of a world, and its resolution [m], without building it.
 
-    Args:
-        entries: entries of `World.from_dict`.
-
-    Raises:
-        ValueError: a size or a resolution that `World` refuses.
+    The entries are those of `World.from_dict`. A size or a resolution that `World` refuses raises a
+    `ValueError`.
     """
     if "size" not in entries:
         raise ValueError("size is missing; accepted: a world with size and start")

@@ -20,13 +20,9 @@ Cells = NDArray[np.bool_]
 class WorldCells:
     """The cells of a world.
 
-    Each check raises a `ValueError` of one line that names the entry.
-
-    Args:
-        size: width (x) and height (y) of the map [m].
-        origin: lower corner (x, y) of the map [m].
-        resolution: side of a cell [m].
-        wall_reach: half the thickness of a wall [m].
+    `size` is the width (x) and the height (y) of the map, `origin` its lower corner (x, y), and
+    `wall_reach` half the thickness of a wall [m]. Each check raises a `ValueError` of one line that
+    names the entry.
     """
 
     size: tuple[float, float]
@@ -54,9 +50,7 @@ class WorldCells:
     def covered(self, kind: str, rows: tuple[Row, ...]) -> Cells:
         """Return the mask (H, W) of the cells that shapes of one kind cover.
 
-        Args:
-            kind: walls, rectangles, discs or zones. A cell belongs to a zone if its centre does.
-            rows: the shapes [m].
+        A kind is walls, rectangles, discs or zones. A cell belongs to a zone if its centre does.
         """
         frame, shape, corner = self._frame, self.shape, np.array(self.origin)
         if kind == "discs":
@@ -76,9 +70,7 @@ class WorldCells:
     def checked_solid(self, shapes: Shapes, prefix: str = "") -> Cells:
         """Return the cells that obstacles cover, each of them at least one.
 
-        Args:
-            shapes: the obstacles.
-            prefix: what stands before the name of their entry, in the message.
+        In messages `prefix` stands before the name of their entry.
         """
         solid = np.zeros(self.shape, bool)
         for kind in SHAPES:
@@ -168,11 +160,9 @@ class WorldCells:
 
 
 def map_shape(size: tuple[float, float], resolution: float) -> tuple[float, float]:
-    """Return rows and columns; whole numbers, which may be too large for an array.
+    """Return the rows and columns of a map by its width (x) and height (y) [m].
 
-    Args:
-        size: width (x) and height (y) of the map [m].
-        resolution: side of a cell [m].
+    They are whole numbers, which may be too large for an array.
     """
     width, height = (float(np.maximum(1.0, np.ceil(side / resolution - SLIVER))) for side in size)
     return height, width

@@ -16,12 +16,7 @@ _FROZEN = {
 
 
 class DataCheck:
-    """Says why a robot must not move: data that are missing, old, frozen or impossible.
-
-    Args:
-        options: limits.
-        history: recent poses of the robot.
-    """
+    """Says why a robot must not move: data that are missing, old, frozen or impossible."""
 
     def __init__(self, options: PilotOptions, history: PoseHistory) -> None:
         self._options, self._history = options, history
@@ -35,12 +30,7 @@ class DataCheck:
         self._frozen: tuple[float, str] | None = None
 
     def add_scan(self, time: float, *, is_changed: bool) -> None:
-        """Note a scan.
-
-        Args:
-            time: time of the scan [s].
-            is_changed: whether it differs from the one before it.
-        """
+        """Note the time of a scan [s], and whether it differs from the one before it."""
         self._scan_time = time
         if is_changed:
             self._scan_changed_at = time
@@ -50,12 +40,7 @@ class DataCheck:
         self._jump = (time, problem)
 
     def problem(self, now: float, twist: np.ndarray) -> str | None:
-        """Return why the robot must not move; None if it may.
-
-        Args:
-            now: present time [s].
-            twist: (3,) last command.
-        """
+        """Return why the robot must not move; None if it may. `twist` (3,) is the last command."""
         last, options = self._history.last, self._options
         if self._jump is not None and now - self._jump[0] >= JUMP_SECONDS:
             self._jump = None

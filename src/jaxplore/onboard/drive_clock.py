@@ -21,12 +21,9 @@ STANDSTILL_SECONDS = 0.5
 class Instant(NamedTuple):
     """A moment, read from two clocks at once.
 
-    Args:
-        clock: time of the clock of the stamps, which may jump [s].
-        steady: time of one that does not, that of `time.monotonic` [s]; None where only the clock
-            of the stamps is known, as in a recording.
-        is_simulated: whether the clock is that of a simulator, which may also pause, and run
-            faster or slower.
+    `clock` is the time of the clock of the stamps [s], which may jump. `steady` is that of
+    `time.monotonic` [s], which does not; None where only the clock of the stamps is known, as in a
+    recording. The clock of a simulator, `is_simulated`, may also pause, and run faster or slower.
     """
 
     clock: float
@@ -35,11 +32,7 @@ class Instant(NamedTuple):
 
     @classmethod
     def of(cls, now: "float | Instant") -> "Instant":
-        """Return a moment of which perhaps only the clock of the stamps is given.
-
-        Raises:
-            ValueError: a time that is not finite.
-        """
+        """Return a moment; a number, which must be finite, is the clock of the stamps alone."""
         if isinstance(now, Instant):
             return now
         return cls(_checks.number("now", now))
@@ -54,12 +47,8 @@ class DriveClock:
     passed: from that of the steady clock, from 0 to `MOST_RATE` times that of a simulated one, or
     from 0 to `MOST_BETWEEN` without a steady clock. A control period passes in a jump.
 
-    Args:
-        period: control period [s].
-
-    Attributes:
-        jump: by how much the clock jumped at the last reading, as a text; None if it did not.
-        is_standing: whether a simulated clock stands still.
+    `jump` says by how much the clock jumped at the last reading; None if it did not. `is_standing`
+    is whether a simulated clock stands still.
     """
 
     def __init__(self, period: float) -> None:
@@ -107,10 +96,8 @@ class DriveClock:
     def arrival(self, stamp: float, received: Instant | None) -> tuple[float, float]:
         """Return when a message arrived, by the clock of the stamps and in the drive [s].
 
-        Args:
-            stamp: time of its stamp [s].
-            received: when it arrived; when absent, at the time of its stamp, if that is at the last
-                reading or at most a control period later.
+        Without `received` it is the time of its stamp, but not before the last reading, and at most
+        a control period after it.
         """
         if received is not None:
             time = self.time_at(received)
@@ -149,9 +136,6 @@ class Stamps:
 
     Of two messages the one that was true later is newer. A stamp that is ahead of its arrival by
     more than a control period is not believed to be newer than what arrives after it.
-
-    Args:
-        period: control period [s].
     """
 
     def __init__(self, period: float) -> None:
@@ -165,10 +149,7 @@ class Stamps:
     def time_of(self, stamp: float, clock: float, time: float) -> float | None:
         """Return when in the drive a message was true [s]; None if it is older than another.
 
-        Args:
-            stamp: its stamp [s].
-            clock: its arrival by the clock of the stamps [s].
-            time: its arrival in the drive [s].
+        `clock` is its arrival by the clock of the stamps, and `time` that in the drive [s].
         """
         age = clock - stamp
         # Some drivers leave the stamp at 0.

@@ -106,14 +106,7 @@ class Following(DriveTask):
 
 
 def pieces_of_points(points: np.ndarray) -> list[Path]:
-    """Return the smooth paths along points, from cusp to cusp; see `path_of_points`.
-
-    Args:
-        points: (N, 2) points in order [m].
-
-    Raises:
-        ValueError: as of `path_of_points`.
-    """
+    """Return the smooth paths along points (N, 2) [m] between cusps, see `path_of_points`."""
     given = np.asarray(points, np.float64).reshape(-1, 2)
     apart = np.ones(len(given), bool)
     apart[1:] = (np.diff(given, axis=0) != 0.0).any(axis=1)
@@ -127,13 +120,10 @@ def pieces_of_points(points: np.ndarray) -> list[Path]:
 
 
 def path_of_points(points: np.ndarray) -> Path:
-    """Return a smooth open path along points.
+    """Return a smooth open path along points (N, 2) [m].
 
     The points are joined by straight lines, which are resampled and smoothed by a Gaussian along
     the path. Both ends stay where they are.
-
-    Args:
-        points: (N, 2) points in order [m].
 
     Raises:
         ValueError: points that are not finite, a path that is too short or too long.
@@ -179,12 +169,7 @@ def blank_path() -> Path:
 
 
 def along_path[T](tree: T, path: Path) -> T:
-    """Return a controller or a model with another path; its other numbers stay.
-
-    Args:
-        tree: a controller or a model of a robot with its progress along a path.
-        path: the path, with `NUM_NODES` nodes.
-    """
+    """Return a controller or a model with another path of `NUM_NODES` nodes; all else stays."""
 
     def is_part(part: object) -> bool:
         return isinstance(part, (Path, PathParameter))

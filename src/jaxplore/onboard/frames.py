@@ -40,12 +40,7 @@ class EvenFrames:
         return (*self._frames, *(() if self._last is None else (self._last,)))
 
     def add_when_due(self, time: float, make: Callable[[], Any]) -> None:
-        """Make a frame if it is time for one.
-
-        Args:
-            time: time since the start [s].
-            make: function that makes a frame.
-        """
+        """Make a frame if one is due at a time since the start [s]."""
         if time < self._next:
             return
         self._frames.append(make())
@@ -72,17 +67,9 @@ def drive_frame(
 ) -> ExplorationFrame:
     """Make a frame of a drive with its plan, as in the animation.
 
-    Args:
-        scenario: scenario of the drive.
-        controller: controller of the robot.
-        memory: state of the controller.
-        state: (nx,) state of the robot.
-        belief: what it knows.
-        scan: the newest scan; None before the first.
-        key: random key of the plan.
-        number: number of control periods before it.
-        reference: points (N, 2) that are shown as the reference [m]; those of the scenario where
-            there are none.
+    The scan is None before the first one. `number` is how many control periods came before.
+    `reference` has points (N, 2) that are shown as the reference [m]; without any, those of the
+    scenario are.
     """
     if scan is None:
         beams = scenario.sensors[0].num_beams

@@ -26,12 +26,9 @@ NUM_HEADINGS = 16
 
 
 class Goal(NamedTuple):
-    """A goal.
+    """A goal: a pose (x, y, yaw) in the frame of the map [m, m, rad].
 
-    Args:
-        pose: (3,) pose (x, y, yaw) in the frame of the map [m, m, rad].
-        distance: length of the path to it [m].
-        information: information of a scan there [nat].
+    `distance` is the length of the path to it [m], `information` that of a scan there [nat].
     """
 
     pose: np.ndarray
@@ -57,15 +54,9 @@ def choose(
     dropped: Float[Array, "N 3"],
     min_distance: Scalar,
 ) -> _Chosen:
-    """Choose the node with the highest score of a rule.
+    """Choose the node with the highest score of a rule; its path has at least `min_distance` [m].
 
-    Args:
-        perception: perception, for the information and the clearance.
-        rule: rule that scores the nodes.
-        grid: the map.
-        pose: (3,) pose of the robot [m, m, rad].
-        dropped: (N, 3) places (x, y) that are no goals, and the radius around each [m].
-        min_distance: least length of the path to a goal [m].
+    `dropped` (N, 3) has places (x, y) that are no goals, and the radius around each [m].
     """
     belief = perception.init(grid, pose)
     frontiers = find_frontiers(

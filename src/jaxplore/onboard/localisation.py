@@ -22,18 +22,12 @@ from jaxplore.sensing.beams import Scan
 class MapPoses:
     """Turns poses of the odometry into poses relative to the origin of the belief.
 
-    The origin is near the first position. Where the robot localises itself, an odometry that jumps
-    is joined to where the robot's velocity led, so that only increments of it count, and a
-    correction says where the odometry is in the map.
+    The origin is near the first position. Where the robot localises itself, `is_internal`, an
+    odometry that jumps is joined to where the robot's velocity led, so that only increments of it
+    count, and a correction says where the odometry is in the map.
 
-    Args:
-        history: recent poses of the odometry, which says whether it jumps.
-        cell: side of a cell of the map [m].
-        is_internal: whether the robot localises itself.
-
-    Attributes:
-        joint: (3,) what joins the odometry after its jumps to the one before them, another array
-            after each jump; None where the odometry is taken as it is.
+    `joint` (3,) joins the odometry after its jumps to the one before them. It is another array
+    after each jump, and None where the odometry is taken as it is.
     """
 
     def __init__(self, history: PoseHistory, cell: float, *, is_internal: bool) -> None:
@@ -44,13 +38,7 @@ class MapPoses:
         self.offset = np.zeros(2)
 
     def add(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> str | None:
-        """Add a pose of the odometry to the history; return what is impossible about it, or None.
-
-        Args:
-            time: time of the measurement [s].
-            pose: (3,) pose (x, y, yaw) [m, m, rad].
-            twist: (3,) velocity in the frame of the robot; estimated from the poses when absent.
-        """
+        """Add a pose (3,) of the odometry to the history, see `PoseHistory.add`."""
         if not self._has_origin:
             self._has_origin = True
             # Whole cells, so that maps of several drives have the same grid lines.
@@ -87,30 +75,19 @@ class MapPoses:
     def placed(self, pose: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
         """Return a pose (3,) of the odometry in the map, relative to the origin.
 
-        Args:
-            pose: (3,) pose by the odometry [m, m, rad].
-            correction: (3,) pose of the odometry in the map; None where they are the same.
+        The correction (3,) is the pose of the odometry in the map; None where they are the same.
         """
         return self.corrected(self.reckoned(pose), correction)
 
     @staticmethod
     def corrected(reckoned: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
-        """Return the pose (3,) in the map of one that `reckoned` returned.
-
-        Args:
-            reckoned: (3,) pose relative to the origin [m, m, rad].
-            correction: as of `placed`.
-        """
+        """Return the pose (3,) in the map of one that `reckoned` returned."""
         return reckoned if correction is None else composed(correction, reckoned)
 
     def in_map(self, pose: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
         """Return a pose (3,) of the odometry in the frame of the map [m, m, rad].
 
         That frame is the one of the odometry at the start; the pose 0 gives the transform.
-
-        Args:
-            pose: (3,) pose by the odometry [m, m, rad].
-            correction: as of `placed`.
         """
         if correction is None:
             return pose
@@ -120,7 +97,8 @@ class MapPoses:
 class ScanMotions:
     """How the lidar of a robot may have moved between its scans, by the odometry.
 
-    An odometry that jumps starts anew elsewhere, or it was frozen and tells a true motion.
+    After a jump there are two motions: without it, if the odometry began anew elsewhere, and with
+    it, if the odometry was frozen and the jump is true.
     """
 
     def __init__(self) -> None:
@@ -136,10 +114,8 @@ class ScanMotions:
     def add(self, time: float, reckoned: np.ndarray, joint: np.ndarray | None) -> Motions:
         """Return the motions since the scan before this one; that of the first is 0.
 
-        Args:
-            time: time of the scan [s].
-            reckoned: (3,) pose of the lidar by the odometry, without jumps [m, m, rad].
-            joint: (3,) what joins the odometry after its jumps, see `MapPoses`.
+        `reckoned` (3,) is the pose of the lidar by the odometry, without jumps [m, m, rad]. `joint`
+        is that of `MapPoses`.
         """
         motions, number, elapsed = np.zeros((2, 3), np.float32), 1, 0.0
         if self._reckoned is not None:
@@ -197,7 +173,6 @@ def inverse(pose: np.ndarray) -> np.ndarray:
 
 
 def difference(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the motion (3,) from a pose to another, in the frame of the first; the turn is in
-    [-pi, pi] [rad]."""
+    """Return the motion (3,) between two poses, in the first one's frame; it turns by [-pi, pi]."""
     dx, dy, turn = composed(inverse(pose), other)
     return np.array([dx, dy, wrapped(turn)])

@@ -38,9 +38,6 @@ class DriveLog:
     reachable free cells of the final map that were known at a time. A cell has the entropy ln 2
     until it is known to be free, and the one of the final map from then on. Contacts are not
     measured.
-
-    Args:
-        scenario: scenario of the pilot.
     """
 
     def __init__(self, scenario: ExplorationScenario) -> None:
@@ -81,15 +78,11 @@ class DriveLog:
         is_finite: bool,
         is_faulty: bool,
     ) -> None:
-        """Add a command.
+        """Add a command, with the newest measured state (nx,), relative to the origin of the map.
 
-        Args:
-            time: time of the command [s].
-            state: (nx,) newest measured state, relative to the origin of the map.
-            control: (nu,) the control.
-            effective_sample_size: of the rollouts; 0 without a plan.
-            is_finite: whether a rollout was finite.
-            is_faulty: whether the robot brakes for a fault, or the check replaced the command.
+        The effective sample size is that of the rollouts; 0 without a plan. `is_finite` is whether
+        a rollout was finite. `is_faulty` is whether the robot brakes for a fault, or the check
+        replaced the command.
         """
         numbers = time, effective_sample_size, is_finite, is_faulty
         self._rows.add(*numbers, *state.tolist(), *control.tolist())
@@ -121,13 +114,10 @@ class DriveLog:
     def recording(
         self, belief: Belief, *, is_done: bool, offset: np.ndarray | None = None
     ) -> ExplorationRecording:
-        """Make the recording of the drive.
+        """Make the recording of the drive, with the belief at the end.
 
-        Args:
-            belief: belief at the end.
-            is_done: whether the robot was done.
-            offset: (2,) position of the origin of the belief to which all positions are moved [m];
-                they are relative to it when absent.
+        All positions are relative to the origin of the belief. With an offset (2,), the position of
+        that origin [m], they are moved by it.
         """
         local = self._recording(belief, is_done=is_done)
         if offset is None:
@@ -185,13 +175,10 @@ class DriveLog:
         )
 
     def newest(self, first: int) -> tuple[ExplorationRecord, np.ndarray]:
-        """Return the records of the commands from one on, and their times [s], for live views.
+        """Return the records of the commands from `first` on, and their times [s], for live views.
 
         Nobody knows yet what can be reached, so their coverage is the share of all cells of the map
         that are known to be free; entropy and clearance are 0.
-
-        Args:
-            first: number of commands that were returned before.
         """
         rows = self._rows.array[first:]
         share = np.full(len(rows), self.num_known / self._known_at.size)

@@ -29,8 +29,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
 class _Due(NamedTuple):
-    """A scan that is to be mapped: its time, the pose of the lidar (3,), when it was taken, and
-    what joins the odometry by then."""
+    """A scan that is to be mapped, as `Mapper.add` takes it."""
 
     time: float
     scan: Scan
@@ -40,12 +39,10 @@ class _Due(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What a robot knows at a time.
+    """What a robot knows: its map, and its pose at the newest scan.
 
-    Args:
-        own: its map, and its pose at the newest scan.
-        correction: (3,) pose of the odometry in the map; None where they are the same.
-        time: time of the newest scan [s].
+    `time` is that of this scan [s]. The correction (3,) is the pose of the odometry in the map;
+    None where they are the same.
     """
 
     own: RobotState
@@ -62,19 +59,12 @@ class Mapper:
     """Keeps what a robot knows on a drive up to date, see `Robot`.
 
     With a localisation, scans are mapped where they say that the robot is, and at its rate loops
-    are closed. `add` and `distrust` may be called from another thread than the other methods.
+    are closed; without one the pose is given. The log notes when cells became known. `add` and
+    `distrust` may be called from another thread than the other methods.
 
-    Args:
-        scenario: sensor and rates.
-        log: log of the drive, which notes when cells became known.
-        localisation: how the robot finds its pose; it is given when absent.
-
-    Attributes:
-        known: what the robot knows, and the correction of its odometry, which change together.
-        is_misfit: whether the newest scan contradicted the map.
-
-    Raises:
-        ValueError: a localisation on a known map, which a robot has none of here.
+    `known` has what the robot knows and the correction of its odometry, which change together.
+    `is_misfit` is whether the newest scan contradicted the map. A localisation on a known map,
+    which a robot has none of here, raises a `ValueError`.
     """
 
     def __init__(
@@ -120,11 +110,7 @@ class Mapper:
         return self.known.correction
 
     def prepare(self, perception: Perception) -> None:
-        """Compile what the other methods call.
-
-        Raises:
-            ValueError: loops are closed, and GTSAM is not installed.
-        """
+        """Compile what the other methods call; to close loops without GTSAM is a `ValueError`."""
         robot, own = self._robot._replace(perception=perception), self.known.own
         pose, second, scan = jnp.zeros(3), jnp.ones(()), scan_room(self._robot.sensors[0])
         localisation, motions = robot.localisation, None
@@ -162,14 +148,9 @@ class Mapper:
     ) -> None:
         """Take a scan; it is mapped by the next call of `map_scan` if its period is over.
 
-        Args:
-            time: time of the scan [s].
-            scan: the scan.
-            pose: (3,) pose of the lidar by the odometry, relative to the origin of the belief
-                [m, m, rad].
-            now: present time [s].
-            joint: (3,) what joins the odometry after its jumps, see `MapPoses`; None without a
-                localisation.
+        `time` is that of the scan, and `now` the present one [s]. `pose` (3,) is that of the lidar
+        by the odometry, relative to the origin of the belief [m, m, rad]. `joint` (3,) is that of
+        `MapPoses`; None without a localisation.
         """
         if time - self._taken_at >= self._scan_period - 0.5 * self._period:
             self._taken_at, self._due = time, _Due(time, scan, pose, now, joint)
@@ -180,11 +161,7 @@ class Mapper:
         self._is_distrusted = True
 
     def map_scan(self, perception: Perception) -> None:
-        """Let the robot map the newest scan that is due, see `Robot.map_scans`.
-
-        Args:
-            perception: perception of the task.
-        """
+        """Let the robot map the newest scan that is due, see `Robot.map_scans`."""
         due, self._due = self._due, None
         if due is None:
             return
@@ -220,13 +197,8 @@ class Mapper:
     def update_fields(self, perception: Perception, now: float, pose: np.ndarray) -> float | None:
         """Update the information and guidance fields if they are due.
 
-        Args:
-            perception: perception of the task.
-            now: present time [s].
-            pose: (3,) pose of the robot, relative to the origin of the belief [m, m, rad].
-
-        Returns:
-            The cost-to-go of the guidance field at the robot [m]; None if no update was due.
+        `pose` (3,) is that of the robot, relative to the origin of the belief [m, m, rad]. Return
+        the cost-to-go of the guidance field there [m]; None if no update was due.
         """
         if now - self._derived_at < self._field_period - 1e-3:
             return None

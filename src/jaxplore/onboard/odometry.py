@@ -15,12 +15,9 @@ DIFFERENCE_SECONDS = 0.1
 
 
 class Placed:
-    """Pose and velocity at a time.
+    """Pose (x, y, yaw) at a time, in double precision [m, m, rad], and velocity.
 
-    Args:
-        time: time of the measurement [s].
-        pose: (3,) pose (x, y, yaw) [m, m, rad], in double precision.
-        twist: (3,) velocity (vx, vy, omega) in the frame of the robot.
+    The velocity (vx, vy, omega) is in the frame of the robot.
     """
 
     __slots__ = ("pose", "time", "twist")
@@ -32,9 +29,8 @@ class Placed:
 class PoseHistory:
     """Recent poses of a robot; poses between them are interpolated.
 
-    Args:
-        max_jump: greatest distance of a pose from where the robot's velocity leads to [m].
-        max_turn: greatest difference of the yaw from the expected one [rad].
+    A pose jumps that is more than `max_jump` [m] or `max_turn` [rad] away from where the robot's
+    velocity leads.
     """
 
     def __init__(self, max_jump: float = MAX_JUMP, max_turn: float = MAX_TURN) -> None:
@@ -58,15 +54,11 @@ class PoseHistory:
             self._places.pop()
 
     def add(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> str | None:
-        """Add a pose; return what is impossible about it, or None.
+        """Add a pose (3,) at a time [s]; return what is impossible about it, or None.
 
-        After an impossible pose the history begins anew with it. A pose that is older than the
-        newest one is left out.
-
-        Args:
-            time: time of the measurement [s].
-            pose: (3,) pose (x, y, yaw) [m, m, rad].
-            twist: (3,) velocity in the frame of the robot; estimated from the poses when absent.
+        After an impossible pose the history begins anew with it. A pose that is not newer than the
+        newest one is left out. The velocity (3,) is in the frame of the robot; without one it is
+        estimated from the poses.
         """
         last = self.last
         if last is not None and time <= last.time:
@@ -86,11 +78,10 @@ class PoseHistory:
         return problem
 
     def at(self, time: float) -> np.ndarray:
-        """Return the pose (3,) at a time, between two poses by their velocity and beyond the ends
-        by the nearest one's.
+        """Return the pose (3,) at a time [s]; before the first pose it raises an `IndexError`.
 
-        Raises:
-            IndexError: no pose yet.
+        Between two poses it is interpolated, and beyond the ends it moves on at the velocity of the
+        nearest one.
         """
         # Another thread may add a pose meanwhile.
         places = tuple(self._places)
@@ -149,15 +140,9 @@ def wrapped(angle: float) -> float:
 def robot_state(
     robot: Dynamics, pose: np.ndarray, twist: np.ndarray, expected: np.ndarray
 ) -> np.ndarray:
-    """Return the state (nx,) of a robot from its pose and velocity.
+    """Return the state (nx,) of a robot from its pose (3,) and its velocity (3,) in its frame.
 
     Components that neither gives, such as a steering angle, keep the expected value.
-
-    Args:
-        robot: model of the robot.
-        pose: (3,) pose (x, y, yaw) [m, m, rad].
-        twist: (3,) velocity (vx, vy, omega) in the frame of the robot.
-        expected: (nx,) state that the model expects.
     """
     vx, vy, omega = twist
     # A model without a heading has its velocities along the axes of the map.

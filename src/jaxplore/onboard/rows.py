@@ -8,9 +8,6 @@ class Rows:
 
     A list of objects would take ten times the memory, and a drive goes on for hours. Another thread
     may read while one appends.
-
-    Args:
-        width: number of columns.
     """
 
     def __init__(self, width: int) -> None:

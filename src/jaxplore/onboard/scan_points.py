@@ -18,11 +18,8 @@ else sends between two of the lidar then takes no point away."""
 class TakenScan(NamedTuple):
     """A scan as a pilot takes it.
 
-    Args:
-        time: time of the scan [s].
-        scan: readings of the beams of the sensor.
-        points: (N, 2) all valid returns in the frame of the robot [m].
-        sweep: when its directions were measured; all at one time when absent.
+    `points` (N, 2) are all valid returns in the frame of the robot [m]. `sweep` is when its
+    directions were measured; all at one time when absent.
     """
 
     time: float
@@ -33,10 +30,8 @@ class TakenScan(NamedTuple):
     def undistort(self, sensor: Beams, twist: np.ndarray, place: np.ndarray) -> "TakenScan":
         """Return the scan as one that was measured at its time at once.
 
-        Args:
-            sensor: sensor of the scan.
-            twist: (3,) velocity (vx, vy, omega) of the robot in its frame.
-            place: (2,) position of the lidar on the robot [m].
+        `place` (2,) is the lidar's position on the robot [m], and `twist` (3,) the velocity in its
+        frame.
         """
         if self.sweep is None or not np.any(twist):
             return self
@@ -55,16 +50,11 @@ def no_points() -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest_points(points: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nearest point of a scan in each direction from the robot.
+    """Return the nearest point of a scan in each direction from the robot, and where there is one.
 
-    Scans of any number of readings give arrays of one shape, so nothing compiles again.
-
-    Args:
-        points: (N, 2) returns in the frame of the robot [m].
-        pose: (3,) pose of the robot [m, m, rad].
-
-    Returns:
-        The points (NUM_POINTS, 2) in the frame of the pose [m], and which of them there are.
+    Points (N, 2) are in the frame of the robot [m]. Those that are returned (NUM_POINTS, 2) are in
+    the frame of its pose (3,). Scans of any number of readings give arrays of one shape, so nothing
+    compiles again.
     """
     nearest, is_point = no_points()
     distance = np.hypot(*points.T)
@@ -82,8 +72,7 @@ def nearest_points(points: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np
 class RecentPoints:
     """The points of the newest scan, and of those that are at most `CHECKED_SECONDS` older.
 
-    Attributes:
-        pose: (3,) pose of the robot at the newest scan, without corrections [m, m, rad].
+    `pose` (3,) is that of the robot at the newest scan, without corrections [m, m, rad].
     """
 
     def __init__(self) -> None:
@@ -95,35 +84,22 @@ class RecentPoints:
         self._scans = []
 
     def add(self, time: float, points: np.ndarray, pose: np.ndarray) -> None:
-        """Add the points of a scan.
-
-        Args:
-            time: time of the scan [s].
-            points: (N, 2) returns in the frame of the robot [m].
-            pose: (3,) pose of the robot at that time, without corrections [m, m, rad].
-        """
+        """Add points (N, 2) in the robot's frame [m], and its pose (3,) without corrections."""
         kept = [each for each in self._scans if time - each[0] <= CHECKED_SECONDS]
         nearest, is_point = nearest_points(points, pose)
         self._scans, self.pose = [*kept, (time, nearest[is_point])], pose
 
     def place(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what `nearest_points` does, of all scans.
-
-        Args:
-            pose: (3,) pose of the robot at the newest scan, with corrections [m, m, rad].
-        """
+        """Return `nearest_points` of all scans, for the corrected pose (3,) at the newest scan."""
         points = np.concatenate([np.zeros((0, 2)), *(each for _, each in self._scans)])
         cos, sin = math.cos(self.pose[2]), math.sin(self.pose[2])
         return nearest_points((points - self.pose[:2]) @ np.array([[cos, -sin], [sin, cos]]), pose)
 
 
 def lidar_pose(pose: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Return the pose (3,) from which beams start; a turn of the lidar is in their angles.
+    """Return the pose (3,) of a lidar, `x` ahead of the robot's centre and `y` to the left [m].
 
-    Args:
-        pose: (3,) pose of the robot [m, m, rad].
-        x: position of the lidar ahead of the robot's centre [m].
-        y: position of the lidar to the left of it [m].
+    Its beams start there; a turn of the lidar is in their angles.
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     return np.asarray(pose + np.array([cos * x - sin * y, sin * x + cos * y, 0.0]))

@@ -18,12 +18,7 @@ class _Sent(NamedTuple):
 
 
 class SentCommands:
-    """Commands that were sent, and when each has effect.
-
-    Args:
-        robot: model of the robot.
-        latency: time between a command and its effect [s].
-    """
+    """Commands that were sent, and when each has effect, a latency later [s]."""
 
     def __init__(self, robot: Dynamics, latency: float) -> None:
         self._idle = np.asarray(robot.default_control, np.float32)
@@ -31,13 +26,7 @@ class SentCommands:
         self._sent: list[_Sent] = []
 
     def add(self, control: np.ndarray, now: float, measured: float) -> None:
-        """Add a command that is sent now, and forget those that had effect before a measurement.
-
-        Args:
-            control: (nu,) the control.
-            now: present time [s].
-            measured: time of the newest measured state [s].
-        """
+        """Add a control (nu,) sent now; forget those that no longer acted at `measured` [s]."""
         self._sent.append(_Sent(control, now + self._latency))
         # The last one that has effect before the measurement is still in effect.
         while len(self._sent) > NUM_SENT or (
@@ -50,12 +39,10 @@ class SentCommands:
         self._sent = []
 
     def between(self, measured: float, now: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the controls (D, nu) that act between a measurement and the effect of a command
-        that is sent now, and for how long each (D,) [s].
+        """Return the controls (D, nu) on their way, and for how long each of them (D,) acts [s].
 
-        Args:
-            measured: time of the newest measured state [s].
-            now: present time [s].
+        The time runs from `measured`, that of the newest measured state, until a command that is
+        sent now has effect.
         """
         controls = np.tile(self._idle, (NUM_SENT, 1))
         durations, end = np.zeros(NUM_SENT, np.float32), now + self._latency

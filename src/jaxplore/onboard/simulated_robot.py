@@ -40,12 +40,10 @@ DRIFT_KEY = 7
 class RobotMeasurement(NamedTuple):
     """What a robot measures at a time.
 
-    Args:
-        pose: (3,) pose by the odometry [m, m, rad].
-        twist: (3,) velocity in the frame of the robot [m/s, m/s, rad/s].
-        scan: scan of the lidar; None between scans.
-        true_pose: (3,) true pose in the coordinates of the map, for what stands in for a SLAM.
-        scan_age: time since the first reading of the scan [s].
+    `pose` (3,) is that by the odometry. `true_pose` (3,) is the true one in the coordinates of the
+    map, for what stands in for a SLAM. `twist` (3,) is in the frame of the robot. The scan is None
+    between scans; `scan_age` is the time since its first reading [s]. Units are m, rad, m/s and
+    rad/s.
     """
 
     pose: np.ndarray
@@ -228,11 +226,9 @@ class SimulatedRobot:
         return self.scenario.make_frame(self.num_steps, arrays)
 
     def _end_turn(self, number: int) -> Scan | None:
-        """Return the scan of a turn that ends, each beam from the period nearest to its time; None
-        before the first turn. A new one begins.
+        """Return the scan of a turn of `number` control periods, and begin a new one.
 
-        Args:
-            number: control periods of a turn.
+        Each beam is from the period nearest to its time. Before the first turn it returns None.
         """
         scans, self._turn = self._turn, self._turn[-1:]
         if len(scans) <= number:
@@ -309,16 +305,11 @@ def _frame(
 def velocity_control(
     robot: Dynamics, state: StateVector, wanted: Pose, period: Scalar
 ) -> ControlVector:
-    """Return the control whose velocity after a period comes closest to a wanted one.
+    """Return the control whose velocity after a period [s] comes closest to a wanted one.
 
-    Gauss-Newton steps of least squares, clipped to the bounds. Where a control has no effect, such
-    as the steering of a car that stands, the step has the least norm.
-
-    Args:
-        robot: model of the robot.
-        state: (nx,) state of the robot.
-        wanted: (3,) velocity (vx, vy, omega) in the frame of the robot.
-        period: time after which the velocity shall be reached [s].
+    Velocities (vx, vy, omega) are in the frame of the robot. The search takes Gauss-Newton steps of
+    least squares, clipped to the bounds. Where a control has no effect, such as the steering of a
+    car that stands, the step has the least norm.
     """
 
     def velocity(control: ControlVector) -> Pose:

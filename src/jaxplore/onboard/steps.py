@@ -59,13 +59,10 @@ class Planned(NamedTuple):
 
 
 class MapInputs(NamedTuple):
-    """A scan that is to be mapped.
+    """A scan that is to be mapped, and the pose of the lidar by the odometry [m, m, rad].
 
-    Args:
-        pose: pose of the lidar (x, y, yaw) by the odometry [m, m, rad].
-        scan: the scan.
-        elapsed: time since the one before it [s].
-        motions: how the lidar may have moved meanwhile; None if the odometry tells the pose.
+    `elapsed` is the time since the scan before [s]. `motions` says how the lidar may have moved
+    meanwhile; None if the odometry tells the pose.
     """
 
     pose: Pose
@@ -82,15 +79,9 @@ def initial(scenario: ExplorationScenario, key: Key | None = None) -> Exploratio
 
 @eqx.filter_jit
 def map_scan(robot: Robot, own: RobotState, inputs: MapInputs) -> tuple[RobotState, GridMask]:
-    """Let a robot map a scan; see `Robot.map_scans`.
+    """Let a robot map a scan, see `Robot.map_scans`.
 
-    Args:
-        robot: the robot.
-        own: what it knows before.
-        inputs: the scan.
-
-    Returns:
-        What it knows after, and the cells (H, W) that are known to be free.
+    Return what it knows after, and the cells (H, W) that are known to be free.
     """
     pose, scan, elapsed, motions = inputs
     measured = _measured(pose, scan, elapsed, is_scan_due=True)._replace(motions=motions)
@@ -116,16 +107,10 @@ def free_cells(belief: Belief) -> GridMask:
 def update_fields(
     robot: Robot, own: RobotState, pose: Pose, elapsed: Scalar
 ) -> tuple[RobotState, Scalar]:
-    """Let a robot update its fields; see `Robot.update_fields`.
+    """Let a robot update its fields, see `Robot.update_fields`.
 
-    Args:
-        robot: the robot.
-        own: what it knows before.
-        pose: where it takes itself to be (x, y, yaw) [m, m, rad].
-        elapsed: time since the last update [s].
-
-    Returns:
-        What it knows after, and the cost-to-go of the guidance field at the robot [m].
+    `pose` is where it takes itself to be, and `elapsed` the time since the last update [s]. Return
+    what it knows after, and the cost-to-go of the guidance field there [m].
     """
     beams = robot.sensors[0].num_beams
     blank = Scan(jnp.zeros(beams), jnp.zeros(beams, bool))
@@ -137,14 +122,7 @@ def update_fields(
 def corrected(
     robot: Dynamics, state: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Return a state (nx,) moved by a correction of the robot's pose.
-
-    Args:
-        robot: model of the robot.
-        state: (nx,) the state.
-        before: (3,) pose before the correction [m, m, rad].
-        after: (3,) pose after it.
-    """
+    """Return a state (nx,) moved by what corrects a pose (3,) from `before` to `after`."""
     given = (each.astype(np.float32) for each in (state, before, after))
     return np.asarray(_corrected(robot, *jax.device_put(tuple(given))))
 
@@ -196,16 +174,8 @@ def plan(
 ) -> Planned:
     """Predict the state in which a command takes effect, plan from there, and check the command.
 
-    Args:
-        controller: controller of the robot.
-        robot: model of the robot, by which the state is predicted.
-        check: check of the command against the scan.
-        tracker: what tracks moving obstacles; None if nothing moves.
-        memory: state of the controller.
-        belief: what the robot knows.
-        inputs: what the plan starts from.
-        period: control period [s].
-        key: random key of the drive.
+    The model `robot` predicts the state, and `check` checks the command against the scan. `tracker`
+    tracks moving obstacles; None if nothing moves.
     """
     key = jax.random.fold_in(key, inputs.number)
     start = predicted_state(robot, inputs.state, inputs.sent, inputs.durations)

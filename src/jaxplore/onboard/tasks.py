@@ -19,13 +19,7 @@ NOTHING_LEFT = "no place that is worth a visit is reachable"
 
 
 class Driver(NamedTuple):
-    """What drives the robot: the controller, the model, and the state that the model expects.
-
-    Args:
-        controller: controller of the robot.
-        robot: model of the robot.
-        expected: (nx,) state that the last command leads to.
-    """
+    """The controller, the model, and the state (nx,) to which the last command leads."""
 
     controller: Controller
     robot: Dynamics

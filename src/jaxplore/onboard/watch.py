@@ -31,10 +31,6 @@ class DriveWatch:
 
     They may change parameters of the controller; a pause lets the robot stand, and a stop ends the
     drive. Speed and single steps have no meaning on a robot.
-
-    Args:
-        pilot: the pilot.
-        monitors: the monitors.
     """
 
     def __init__(self, pilot: Pilot, monitors: Sequence[Monitor]) -> None:
@@ -83,11 +79,7 @@ class DriveWatch:
         self._has_begun = True
 
     def after(self, command: Command) -> None:
-        """Show a command to the monitors that are due, and take their requests.
-
-        Args:
-            command: the newest command.
-        """
+        """Show the newest command to the monitors that are due, and take their requests."""
         if not self._has_begun and self._pilot.pose is not None:
             self.begin()
         if not self._has_begun:
@@ -109,11 +101,7 @@ class DriveWatch:
         self._take({each: each.requests() for each in self._shown})
 
     def end(self, recording: Recording | None) -> None:
-        """Tell the monitors that the drive has ended.
-
-        Args:
-            recording: the whole drive; None if it failed.
-        """
+        """Tell the monitors that the drive has ended; without a recording it failed."""
         for each in self._shown if self._has_begun else ():
             each.end(recording)
 

@@ -9,11 +9,9 @@ from jaxplore.recorder.messages import EXTRA
 
 
 class Channels:
-    """Topics of one context of Foxglove's SDK: of a file, or of a server for live views.
+    """Topics of a context of Foxglove's SDK: of a file, or of a server for live views.
 
-    Args:
-        context: context of the SDK.
-        began: time of the start of the run since the epoch [s]; 0 for simulated time.
+    `began` is when the run started [s since the epoch]; 0 for simulated time.
     """
 
     def __init__(self, context: Any, began: float = 0.0) -> None:
@@ -27,12 +25,9 @@ class Channels:
         return self._began + round(1e9 * time)
 
     def log(self, topic: str, message: Any, time: float) -> None:
-        """Write a message of one of Foxglove's schemas.
+        """Write a message of one of Foxglove's schemas; the time is since the start of the run [s].
 
-        Args:
-            topic: the topic; all its messages are of one schema.
-            message: the message.
-            time: time since the start of the run [s].
+        All messages of a topic are of one schema.
         """
         if topic not in self._channels:
             make = getattr(self._typed, f"{type(message).__name__}Channel")
@@ -40,14 +35,10 @@ class Channels:
         self._channels[topic].log(message, log_time=self.stamp(time))
 
     def log_values(self, topic: str, values: Mapping[str, float | str], time: float) -> None:
-        """Write numbers and texts by name, as JSON.
+        """Write numbers and texts by name, as JSON; the time is since the start of the run [s].
 
-        JSON has no infinity and no NaN: such a value is left out of its message.
-
-        Args:
-            topic: the topic; all its messages have the same names.
-            values: the values.
-            time: time since the start of the run [s].
+        All messages of a topic have the same names. JSON has no infinity and no NaN: such a value
+        is left out of its message.
         """
         kinds = {
             name: {"type": "string" if isinstance(each, str) else "number"}
@@ -61,12 +52,9 @@ class Channels:
         self._log_json(topic, known, kinds, time)
 
     def log_lists(self, topic: str, values: Mapping[str, Sequence[float]], time: float) -> None:
-        """Write lists of numbers by name, as JSON; one that is not finite is null.
+        """Write lists of numbers by name, as JSON; a number that is not finite is null.
 
-        Args:
-            topic: the topic; all its messages have the same names.
-            values: the lists.
-            time: time since the start of the run [s].
+        The time is since the start of the run [s]. All messages of a topic have the same names.
         """
         kind = {"type": "array", "items": {"type": "number"}}
         known = {

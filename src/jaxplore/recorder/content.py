@@ -26,12 +26,8 @@ class Content:
     """What is recorded of the runs of any task: the commands, the states and the metrics.
 
     Metrics are the fields of the record of a step that are single numbers. A flag is 1 if it was
-    set in any step since the last message.
-
-    Args:
-        channels: the topics.
-        recording: the run when it begins, with no step and one frame.
-        controller: the controller.
+    set in any step since the last message. The `recording` is the run when it begins, with no step
+    and one frame.
     """
 
     def __init__(self, channels: Channels, recording: Any, controller: Controller) -> None:
@@ -50,12 +46,9 @@ class Content:
         """Write what stays the same during the run; nothing by default."""
 
     def write_steps(self, records: Any, times: np.ndarray, text: str | None = None) -> None:
-        """Write the records of steps.
+        """Write the records, a row for each step, with the time at the end of each step [s].
 
-        Args:
-            records: records, a row for each step.
-            times: time at the end of each step [s].
-            text: progress of the task in words.
+        `text` is the progress of the task in words.
         """
         if not len(times):
             return
@@ -93,11 +86,7 @@ class Content:
         """Write the maps of a frame; nothing by default."""
 
     def write_end(self, recording: Any) -> None:
-        """Write what is known at the end of the run only; nothing by default.
-
-        Args:
-            recording: the finished run.
-        """
+        """Write what is known of the finished run only; nothing by default."""
 
     def log(self, topic: str, message: Any, time: float) -> None:
         """Write a message; see `Channels.log`."""
@@ -106,11 +95,7 @@ class Content:
     def log_levels(self, topic: str, level: np.ndarray, time: float, height: float) -> None:
         """Write probabilities in 256 levels as a grid, coloured as in the animation.
 
-        Args:
-            topic: the topic.
-            level: (H, W) levels of the cells of the run's map.
-            time: time since the start of the run [s].
-            height: height at which the grid is drawn [m].
+        `level` (H, W) is that of the cells of the run's map; the grid is drawn at `height` [m].
         """
         run, colours = self.recording, belief_colours()[level]
         values = {
@@ -127,14 +112,9 @@ class Content:
     def log_pose(
         self, time: float, position: np.ndarray, heading: float, z: float, robot: str | None = None
     ) -> None:
-        """Write the pose of the robot, and the transform from its frame to the world's.
+        """Write the pose of the robot [m, m, rad], and the transform from its frame to the world's.
 
-        Args:
-            time: time since the start of the run [s].
-            position: position (x, y) [m].
-            heading: heading [rad].
-            z: height [m].
-            robot: name of the robot, under which its topic and its frame are, where several are.
+        Where there are several robots, the topic and the frame are under the name of the robot.
         """
         topic, frame = ("/pose", BASE) if robot is None else (f"/{robot}/pose", f"{robot}/{BASE}")
         x, y = np.asarray(position, np.float64).tolist()
@@ -144,12 +124,10 @@ class Content:
         self.log(topic, messages.pose_in_frame(stamp, MAP, x, y, yaw, z=z), time)
 
     def log_plan(self, frame: Any, **others: tuple[np.ndarray, Colour]) -> None:
-        """Write the plan and some rollouts, those of great weight in another colour, with what each
-        of them weighs and costs.
+        """Write the plan and some rollouts, with what each of them weighs and costs.
 
-        Args:
-            frame: frame with a plan (T, 2), rollouts (N, T, 2) [m], their weights and costs.
-            others: more lines beside the plan, with their colours.
+        Rollouts of great weight have another colour. `others` are further lines beside the plan,
+        with their colours.
         """
         stamp, samples = self.channels.stamp(frame.time), frame.samples
         lines = {**others, "plan": (frame.plan, PLAN)}

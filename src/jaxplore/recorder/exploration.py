@@ -24,9 +24,9 @@ MARK = 0.25
 class ExplorationContent(Content):
     """What is recorded of an exploration.
 
-    Beside the commands, states and metrics these are the pose, the scan, the plan, rollouts, what
-    moves, the targets and the terms of the plan's cost; every half second the belief and the
-    information.
+    In addition to the commands, states and metrics these are the pose, the scan, the plan,
+    rollouts, what moves, the targets and the terms of the plan's cost; every half second the belief
+    and the information.
     """
 
     _angles: tuple[float, float] | None = None

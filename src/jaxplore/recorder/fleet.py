@@ -25,14 +25,9 @@ OWN = {
 class FleetContent(Content):
     """What is recorded of an exploration by a fleet.
 
-    Beside the commands, states and metrics of all these are what the robots know together, and for
-    each robot under its name, `robot1` for the first, its pose, plan and metrics; every half second
-    its trail, and at the end its own map. Lines join the robots that hear each other.
-
-    Args:
-        channels: the topics.
-        recording: the run when it begins.
-        controller: the controller.
+    In addition to the commands, states and metrics of all these are what the robots know together,
+    and for each robot under its name, `robot1` for the first, its pose, plan and metrics; every
+    half second its trail, and at the end its own map. Lines join the robots that hear each other.
     """
 
     def __init__(self, channels: Channels, recording: FleetData, controller: Controller) -> None:

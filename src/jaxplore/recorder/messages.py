@@ -72,17 +72,10 @@ def grid(
     *,
     height: float = 0.0,
 ) -> Any:
-    """Return a `Grid` with one or several values per cell.
+    """Return a `Grid` with one or several values (H, W) per cell, of type uint8 or float32.
 
-    Foxglove colours a grid with the values red, green, blue and alpha by these.
-
-    Args:
-        stamp: its stamp.
-        frame: frame in which the origin is given.
-        origin: pose (x, y, yaw) of the outer corner of cell (0, 0).
-        cell: side of a cell.
-        values: (H, W) values by name, of type uint8 or float32; row 0 is at the origin.
-        height: height at which the grid is drawn.
+    Row 0 is at the origin, the pose (x, y, yaw) of the outer corner of cell (0, 0) in the frame. If
+    the values are called red, green, blue and alpha, Foxglove draws the grid in these colours.
     """
     sdk = _sdk()
     packed = np.dtype([(name, each.dtype) for name, each in values.items()])
@@ -115,8 +108,7 @@ def grid(
 def even_angles(bearings: np.ndarray) -> tuple[float, float] | None:
     """Return the first and the last angle of a fan of beams; None if its angles are not even.
 
-    Args:
-        bearings: (B,) angles of the beams in any turn; NaN where one is not known.
+    The `bearings` (B,) may be in any turn, and are NaN where they are not known.
     """
     index = np.flatnonzero(np.isfinite(bearings))
     if len(index) < 2:
@@ -173,15 +165,10 @@ def colour(levels: Colour) -> Any:
 def line(
     points: np.ndarray, levels: Colour, width: float, *, closed: bool = False, z: float = 0.0
 ) -> Any:
-    """Return a `LinePrimitive` through points (N, 2) or (N, 3); those that are not finite are left
-    out.
+    """Return a `LinePrimitive` through points (N, 2) at height z, or through points (N, 3).
 
-    Args:
-        points: the points.
-        levels: its colour.
-        width: its width in pixels of the screen.
-        closed: whether the last point is joined to the first.
-        z: height at which points (N, 2) are drawn.
+    Points that are not finite are left out. The width is in pixels of the screen. A closed line
+    joins the last point to the first.
     """
     sdk = _sdk()
     kinds = sdk.LinePrimitiveLineType

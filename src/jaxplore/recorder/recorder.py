@@ -167,13 +167,7 @@ def check_recording(
 ) -> Path:
     """Check before a long run whether a recording can be written; return its path.
 
-    Args:
-        path: the file.
-        overwrite: whether a file that exists is accepted.
-        name: name of the path in messages.
-
-    Raises:
-        ValueError: as of `McapRecorder`.
+    It raises what `McapRecorder` does. `name` is that of the path in messages.
     """
     import_optional("foxglove", EXTRA)
     file = Path(path)

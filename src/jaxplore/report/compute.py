@@ -16,14 +16,12 @@ from jaxplore.report._numbers import finite, numbers
 
 @dataclasses.dataclass(frozen=True)
 class Timing:
-    """Wall-clock times of a run.
+    """Wall-clock times of a run [s].
 
-    Args:
-        compile_seconds: time until the loop is ready for its first step [s]; near 0 if it was
-            compiled before.
-        loop_seconds: time spent in the chunks of the loop, without compilation [s].
-        loop_steps: number of steps in those chunks.
-        step_seconds: (N,) times of single steps, spread over the run and timed one at a time [s].
+    `compile_seconds` last until the loop is ready for its first step; they are near 0 if it was
+    compiled before. `loop_seconds` are spent in the chunks of the loop, without compilation, and
+    `loop_steps` are the steps in those chunks. `step_seconds` (N,) are those of single steps,
+    spread over the run and timed one at a time.
     """
 
     compile_seconds: float
@@ -72,12 +70,7 @@ class Compute:
 
 
 def compute_cost(timing: Timing, period: float) -> Compute:
-    """Compute the wall-clock cost of a run's steps.
-
-    Args:
-        timing: wall-clock times of the run.
-        period: control period [s].
-    """
+    """Compute the wall-clock cost of a run's steps; the control period is in seconds."""
     measured = timing.loop_steps > 0 and timing.loop_seconds > 0.0
     mean = timing.loop_seconds / timing.loop_steps if measured else None
     single = 1e3 * np.asarray(timing.step_seconds, np.float64)

@@ -8,12 +8,7 @@ from jaxplore._text import printable
 
 @contextmanager
 def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str], None]]:
-    """Show a progress bar on a terminal; yield a function that updates its share and text.
-
-    Args:
-        label: name of the activity.
-        enabled: whether anything is shown.
-    """
+    """Show a progress bar on a terminal; yield a function that updates its share and text."""
     # Slow to import, and few need it.
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn

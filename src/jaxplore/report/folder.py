@@ -30,15 +30,7 @@ _reservations: dict[tuple[int, Path], Path] = {}
 
 
 def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Check before a long run whether its folder can be written; see `reserved_folder`.
-
-    Args:
-        path: path of the run folder.
-        overwrite: whether a former run at `path` is accepted.
-
-    Raises:
-        ValueError: what `reserved_folder` rejects.
-    """
+    """Check before a long run that its folder can be written; raise as `reserved_folder` does."""
     with reserved_folder(path, overwrite=overwrite):
         pass
 
@@ -49,10 +41,6 @@ def reserved_folder(path: str | PathLike[str], *, overwrite: bool = False) -> It
 
     A test folder is made beside the later one and removed again, with any missing parents. In the
     body this thread can write the folder by `run_folder`.
-
-    Args:
-        path: path of the run folder.
-        overwrite: whether a former run at `path` is accepted.
 
     Raises:
         ValueError: an empty path, an existing file or folder (unless it is a former run and
@@ -72,14 +60,10 @@ def reserved_folder(path: str | PathLike[str], *, overwrite: bool = False) -> It
 
 @contextmanager
 def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a hidden folder that is moved to `path` at the end.
+    """Yield a hidden folder that is moved to `path` at the end; missing parents are made.
 
-    After an exception, Ctrl-C included, the hidden folder is removed and `path` is unchanged. A
-    former run is replaced once the new one is complete.
-
-    Args:
-        path: path of the run folder; missing parents are made.
-        overwrite: whether to replace a former run.
+    After an exception, Ctrl-C included, the hidden folder is removed and `path` is unchanged. With
+    `overwrite`, a former run is replaced once the new one is complete.
 
     Raises:
         ValueError: as in `reserved_folder`; any `OSError` while the folder is filled, such as a
@@ -112,11 +96,8 @@ def is_reserved(path: Path) -> bool:
 def locked_folder(folder: Path, what: str) -> Iterator[None]:
     """Keep other processes from a folder to which files are added one by one.
 
-    It is made with its parents. If it is empty at the end, it is removed with those.
-
-    Args:
-        folder: the folder.
-        what: name of the folder, for messages.
+    It is made with its parents. If it is empty at the end, it is removed with those. `what` is its
+    name in messages.
 
     Raises:
         ValueError: another process holds it, or it cannot be written.
@@ -217,11 +198,8 @@ def whole_file(target: Path, what: str) -> Iterator[Path]:
     """Yield an empty hidden file that is moved to `target` at the end, also safe in a power cut.
 
     After an exception, Ctrl-C included, `target` is unchanged. The file is locked, so it must be
-    written in place.
-
-    Args:
-        target: path of the file, in an existing folder.
-        what: name of the object that the file belongs to, for the message.
+    written in place. Its folder must exist. `what` names in messages the object that the file
+    belongs to.
 
     Raises:
         ValueError: it cannot be written.
@@ -236,31 +214,14 @@ def whole_file(target: Path, what: str) -> Iterator[Path]:
 
 
 def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) -> None:
-    """Write a file completely or not at all, also after a power cut.
-
-    Args:
-        target: path of the file, in an existing folder.
-        write: function that writes the content to a binary stream.
-        what: name of the object that the file belongs to, for the message.
-
-    Raises:
-        ValueError: it cannot be written.
-    """
+    """Write a file completely or not at all by `whole_file`, also after a power cut."""
     with whole_file(target, what) as temporary, temporary.open("wb") as file:
         write(file)
 
 
 @contextmanager
 def in_one_line(what: str, target: Path) -> Iterator[None]:
-    """Convert errors of the operating system into a `ValueError` of one line.
-
-    Args:
-        what: name of the object to write, for the message.
-        target: path of the file.
-
-    Raises:
-        ValueError: an `OSError` in the body.
-    """
+    """Convert an `OSError` in the body into a one-line `ValueError` about `what`."""
     try:
         yield
     except OSError as error:

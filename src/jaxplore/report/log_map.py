@@ -41,9 +41,6 @@ def log_metrics(mapped: LogMap) -> dict[str, Any]:
     ATE and RPE are those of `absolute_error` and `relative_error`, the latter over 5 m; None for a
     way that is shorter. IoU and double walls are those of `map_agreement` with the map of the true
     poses, after the alignment of the trajectories. All are None where the log has no true poses.
-
-    Args:
-        mapped: the mapped log.
     """
     poses = mapped.estimated if mapped.true is None else mapped.true
     walls = None
@@ -84,9 +81,6 @@ def log_figure(mapped: LogMap) -> "Figure":
     """Draw the map with the trajectories of the log, of dead reckoning and of the localisation.
 
     The trajectories begin at the same pose, and none is aligned.
-
-    Args:
-        mapped: the mapped log.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -147,12 +141,8 @@ def log_figure(mapped: LogMap) -> "Figure":
 def _coarser(belief: np.ndarray, size: np.ndarray, grid: OccupancyGrid) -> tuple[np.ndarray, int]:
     """Return the belief in blocks that are no smaller than pixels, and the cells along a block.
 
-    A block with an occupied cell is occupied, so that walls of one cell stay visible.
-
-    Args:
-        belief: probabilities (H, W).
-        size: width and height of what is drawn [m].
-        grid: grid of the belief.
+    `size` is the width and height of what is drawn [m]. A block with an occupied cell is occupied,
+    so that walls of one cell stay visible.
     """
     factor = max(1, round(float(size.max()) / grid.resolution / MOST_PIXELS))
     # Rows and columns of unknown cells fill the last blocks.

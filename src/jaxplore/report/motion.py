@@ -7,16 +7,11 @@ from jaxplore.report._numbers import finite
 
 
 def command_jerk(controls: ArrayLike, half_range: np.ndarray, period: float) -> float | None:
-    """Compute the root mean square of the commands' second differences [1/s^2].
-
-    None for fewer than three commands.
+    """Compute the root mean square of the second differences of commands (N, nu) [1/s^2]:
 
         (u_{t+1} - 2 u_t + u_{t-1}) / period^2, in halves of the range between their bounds
 
-    Args:
-        controls: (N, nu) commands.
-        half_range: (nu,) half the range between the bounds of each control.
-        period: time between commands [s].
+    The period between commands is in seconds. None for fewer than three commands.
     """
     commands = np.asarray(controls, np.float64)
     if len(commands) < 3:

@@ -107,11 +107,9 @@ class RunData:
         return np.arange(self.num_steps + 1) * self.control_period
 
     def moved[R: "RunData"](self: R, offset: np.ndarray) -> R:
-        """Return the data with an offset (2,) [m] added to all positions but those of the frames,
-        which have `Frame.moved`.
+        """Return the data with an offset (2,) [m] added to all positions but those of the frames.
 
-        Args:
-            offset: the offset; with one of zero nothing changes.
+        These have `Frame.moved`.
         """
         if not offset.any():
             return self
@@ -122,12 +120,7 @@ class RunData:
         return {}
 
     def common_metrics(self, *, finished_at: float | None, seed: int | None) -> dict[str, Any]:
-        """Compute the fields that all `Metrics` share.
-
-        Args:
-            finished_at: time at which the task was finished [s]; None if it was not.
-            seed: seed of the run.
-        """
+        """Compute the fields of all `Metrics`; `finished_at` [s] is None for an unfinished task."""
         return {
             "duration": self.num_steps * self.control_period,
             "num_steps": self.num_steps,

@@ -40,22 +40,14 @@ def save_run(
     of the recording, its animation, and `settings.yaml` if there are settings. There is no
     `state.npz` if the recording holds something else than arrays, numbers and texts.
 
-    Args:
-        recording: the run.
-        metrics: the metrics of the same run.
-        path: the folder.
-        settings: settings that led to the run, plain values only.
-        animation: draw the animation; it takes most of the time, and Ctrl-C leaves it out. After
-            SIGTERM or SIGHUP it is left out as well.
-        film: frames per second and size of the animation; the defaults when absent.
-        figures: formats of the figures, of png, pdf and svg.
-        overwrite: replace a former run.
-        on_progress: called with the share that is done, from 0 to 1.
-        further: more arrays for `state.npz`.
+    The animation takes most of the time; Ctrl-C leaves it out, and it is left out after SIGTERM or
+    SIGHUP. The settings are those that led to the run, plain values only. A `film` of None has the
+    default speed and size. `overwrite` replaces a former run. `on_progress` is called with the
+    share that is done, from 0 to 1. `further` are more arrays for `state.npz`.
 
     Raises:
-        ValueError: settings that YAML cannot hold; another format of figures; a folder that exists
-            or cannot be written.
+        ValueError: settings that YAML cannot hold; another format of figures than png, pdf and svg;
+            a folder that exists or cannot be written.
     """
     kinds = figure_formats(figures)
     # Both documents are made first, so that a value they cannot hold stops before any file exists.
@@ -93,11 +85,7 @@ def save_run(
 
 
 def settings_document(settings: Mapping[str, object]) -> str:
-    """Format settings as YAML.
-
-    Raises:
-        ValueError: a value that YAML cannot hold.
-    """
+    """Format settings as YAML; a value that YAML cannot hold raises a `ValueError`."""
     try:
         return str(yaml.safe_dump(dict(settings), sort_keys=False, allow_unicode=True))
     except yaml.YAMLError as error:

@@ -22,13 +22,10 @@ class Quartiles(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """Ratio of two medians over the same seeds.
+    """Ratio of two medians over the same seeds, with the ends of its interval.
 
-    Args:
-        value: median of one over median of the other; NaN if both are infinite or the other is
-            zero.
-        low: lower end of its interval.
-        high: upper end; infinite where too few runs have a value.
+    It is NaN if both medians are infinite or the second is zero. The upper end is infinite where
+    too few runs have a value.
     """
 
     value: float
@@ -37,16 +34,10 @@ class Ratio(NamedTuple):
 
 
 def quartiles(values: Sequence[float | None]) -> Quartiles:
-    """Compute the quartiles of a quantity over runs.
+    """Compute the quartiles of a quantity over runs, of which there is at least one.
 
-    A run without a value counts as infinite, such as the time of a run that was never finished.
-    Quartiles are not interpolated between a value and infinity.
-
-    Args:
-        values: one for each run; None for a run without a value.
-
-    Raises:
-        ValueError: no runs.
+    A run with None counts as infinite, such as the time of a run that was never finished. Quartiles
+    are not interpolated between a value and infinity.
     """
     if not values:
         raise ValueError("values is empty; accepted: those of at least one run")
@@ -67,16 +58,13 @@ def paired_ratio(
 ) -> Ratio | None:
     """Compute the ratio of two medians over the common seeds; None without any.
 
+    Both variants are given by seed. A value of None counts as infinite, such as the time of a run
+    that was never finished.
+
     The interval is that of the paired percentile bootstrap: seeds are drawn with replacement, the
     same for both, and the middle 95 % of the ratios are kept. A resample without a ratio (both
-    medians infinite, or the reference zero) counts at both ends.
-
-    Args:
-        values: values by seed; None counts as infinite, such as the time of a run that was never
-            finished.
-        reference: values of the reference variant, likewise.
-        resamples: number of resamples.
-        seed: seed of the resamples; the same seed gives the same interval.
+    medians infinite, or the reference zero) counts at both ends. The same `seed` gives the same
+    interval.
 
     Source: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13.
     """
@@ -94,13 +82,7 @@ def paired_ratio(
 
 
 class Difference(NamedTuple):
-    """Mean difference of a quantity over the same runs.
-
-    Args:
-        value: mean of the differences.
-        low: lower end of its interval.
-        high: upper end.
-    """
+    """Mean difference of a quantity over the same runs, with the ends of its interval."""
 
     value: float
     low: float
@@ -113,11 +95,8 @@ def tail_mean(values: np.ndarray, level: float = 0.0) -> np.ndarray:
         CVaR = min_z z + mean_i (v_i - z)_+ / (1 - level)
 
     It is the mean of the greatest share `1 - level` of the values. A value on the edge of this
-    share counts by the part that lies in it. Level 0 gives the mean of all.
-
-    Args:
-        values: (..., N) values, N > 0; one that is infinite and in the share gives infinity.
-        level: share of the values that is left out, in [0, 1).
+    share counts by the part that lies in it. Level 0 gives the mean of all. There is at least one
+    value; an infinite one in the share gives infinity.
 
     Raises:
         ValueError: a level outside [0, 1).
@@ -145,17 +124,11 @@ def paired_difference(
 ) -> Difference:
     """Compute the mean of `after - before`, run by run, with a 95 % interval.
 
-    With a level it is the difference of the tail means, see `tail_mean`.
+    The values are finite. With a level it is the difference of the tail means, which leave out that
+    share of the least values, see `tail_mean`.
 
-    The interval is that of the paired percentile bootstrap. For a single run, or equal differences,
-    both ends are the mean.
-
-    Args:
-        before: finite values, one for each run; at least one.
-        after: the values of the same runs after the change.
-        level: share of the least values that is left out of both means.
-        resamples: number of resamples.
-        seed: seed of the resamples; the same seed gives the same interval.
+    The interval is that of the paired percentile bootstrap; the same `seed` gives the same
+    interval. For a single run, or equal differences, both ends are the mean.
 
     Raises:
         ValueError: no values, or not as many in both.

@@ -89,12 +89,10 @@ def load_run[T](
     path: str | PathLike[str],
     build: Callable[[Recording, Metrics, Mapping[str, np.ndarray]], T],
 ) -> T:
-    """Read a run folder and build an object from it.
+    """Read a run folder, and build an object from it.
 
-    Args:
-        path: the folder.
-        build: function of the recording, its metrics and all arrays of the state file. The metrics
-            are computed from the recording again.
+    `build` is given the recording, its metrics and all arrays of the state file. The metrics are
+    computed from the recording again.
 
     Raises:
         ValueError: no run folder, one without a state file, a file that is malformed or too large,

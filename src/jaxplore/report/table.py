@@ -44,14 +44,10 @@ def print_table(
     has_lines: bool = False,
     widest: int | None = None,
 ) -> None:
-    """Print a table on the terminal; in a file only columns of a greatest width are wrapped.
+    """Print a table on the terminal, with the header as the first row.
 
-    Args:
-        rows: rows of the table, the header first.
-        title: title above the table; none when absent.
-        has_header: whether the first row is a header.
-        has_lines: whether to draw lines between rows.
-        widest: greatest width of a column [characters]; no bound when absent.
+    In a file only columns wider than `widest` [characters] are wrapped; None sets no bound.
+    `has_lines` draws lines between rows.
     """
     heading = None if title is None else _plain(title)
     table = Table(title=heading, show_lines=has_lines, show_header=has_header)

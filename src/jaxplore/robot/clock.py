@@ -14,15 +14,10 @@ from jaxplore._xla import on_device
 def when_due[*T](
     is_due: Flag, is_possible: Flag, update: Callable[[*T], tuple[*T]], values: tuple[*T]
 ) -> tuple[*T]:
-    """Return values updated if the update is due and possible, unchanged otherwise.
+    """Return `update(*values)` if the update is due and possible, else the values unchanged.
 
-    Args:
-        is_due: whether the update is due. It must depend on the clock alone. The clock is the same
-            for all runs of a batch, so under `jax.vmap` this stays a branch, and a batch updates
-            only as often as one run.
-        is_possible: whether the update is possible.
-        update: function from the values to the new values.
-        values: the values.
+    `is_due` must depend on the clock alone. The clock is the same for all runs of a batch, so under
+    `jax.vmap` this stays a branch, and a batch updates only as often as one run.
     """
 
     def try_it(*old: *T) -> tuple[*T]:
@@ -36,12 +31,7 @@ def when_due[*T](
 
 
 def whole_steps(name: str, rate: float, control_rate: float) -> Array:
-    """Return the number of control periods in a period of a slower rate.
-
-    Args:
-        name: name of the slower rate, for the error message.
-        rate: slower rate [Hz].
-        control_rate: rate of the controls [Hz].
+    """Return the number of control periods in a period of a slower rate; both rates are in Hz.
 
     Raises:
         ValueError: a rate that is not a whole fraction of the control rate.

@@ -14,13 +14,9 @@ from jaxplore.dynamics.base import Dynamics
 
 
 class Decided(NamedTuple):
-    """A command that is sent to the robot's base.
+    """A command that is sent to the robot's base, with the states of controller and guard after it.
 
-    Args:
-        control: (nu,) the command; not finite where the base is told to brake.
-        memory: state of the controller.
-        guard: state of the guard; None without one.
-        info: diagnostics of the controller's step.
+    `control` (nu,) is not finite where the base is told to brake. `guard` is None without a guard.
     """
 
     control: ControlVector
@@ -30,13 +26,9 @@ class Decided(NamedTuple):
 
 
 class Driver(NamedTuple):
-    """Decides which command is sent.
+    """Decides which command is sent in each control period; `period` is its length [s].
 
-    Args:
-        model: model of the robot.
-        controller: computes the commands.
-        guard: stops the robot where its pose, scan or motion cannot be true; None without one.
-        period: control period [s].
+    The guard stops the robot where its pose, scan or motion cannot be true; None without one.
     """
 
     model: Dynamics
@@ -56,14 +48,8 @@ class Driver(NamedTuple):
     ) -> Decided:
         """Return the command of a period.
 
-        Args:
-            memory: state of the controller.
-            watch: judgement of the guard; None without one.
-            observed: (nx,) state that the robot takes to be its own.
-            belief: what it knows.
-            points: the newest scan.
-            time: present time [s].
-            key: random key of the controller's step.
+        `memory` is the state of the controller, and `observed` (nx,) the state that the robot takes
+        to be its own. `watch` is None without a guard. `time` is the present time [s].
         """
         guard = self.guard
         if guard is None or watch is None:
@@ -98,13 +84,8 @@ class Driver(NamedTuple):
     ) -> tuple[ControlVector, GuardState | None]:
         """Return what the robot's base does in a period, and where the guard expects the robot.
 
-        A base that is told to brake does so along the points of the newest scan.
-
-        Args:
-            watch: state of the guard; None without one.
-            control: (nu,) command that takes effect.
-            measured: (nx,) state, of which the base measures all but the pose.
-            points: the newest scan.
+        A command that is not finite tells the base to brake. It does so along the points of the
+        newest scan. Of the state `measured` (nx,) the base measures all but the pose.
         """
         guard = self.guard
         if guard is None or watch is None:

@@ -29,13 +29,7 @@ class Knowledge(NamedTuple):
         return cls(jnp.zeros(()), jnp.zeros(()))
 
     def after(self, belief: Belief, position: Position, period: Scalar) -> "Knowledge":
-        """Return the knowledge a control period later.
-
-        Args:
-            belief: the robot's belief.
-            position: where it takes itself to be (x, y) [m].
-            period: control period [s].
-        """
+        """Return the knowledge a period [s] later; the robot takes itself to be at `position`."""
         is_worth = leads_to_information(belief.guidance(position))
         return self._replace(idle=jnp.where(is_worth, 0.0, self.idle + period))
 

@@ -29,12 +29,10 @@ from jaxplore.sensing.beams import Scan
 
 
 class PoseKnowledge(NamedTuple):
-    """What a robot knows of its pose.
+    """What a robot knows of its pose; `known` is the state of its estimator.
 
-    Args:
-        known: state of its estimator.
-        spreads: (K,) how exactly the robot knows its position as seen from old places nearby [m],
-            see `LoopCloser.spreads`; None if it does not go back to them.
+    `spreads` (K,) are how exactly the robot knows its position as seen from old places nearby [m],
+    see `LoopCloser.spreads`; None if it does not go back to them.
     """
 
     known: PoseState
@@ -45,10 +43,8 @@ class Motions(NamedTuple):
     """Motions of which a robot has made one: an odometry that jumps starts anew elsewhere, or it
     was frozen and tells a true motion.
 
-    Args:
-        motions: (N, 3) motions (dx, dy, dyaw) by the odometry, in the frame of the robot.
-        number: number of them, the first ones.
-        elapsed: time that they took [s].
+    `motions` (N, 3) are (dx, dy, dyaw) by the odometry, in the frame of the robot. The first
+    `number` of them are in use. `elapsed` is the time that they took [s].
     """
 
     motions: Float[Array, "N 3"]
@@ -266,12 +262,9 @@ class Localisation(eqx.Module):
 def places_to_revisit(
     known: LocaliserState, belief: Belief, share: Float[Array, " K"]
 ) -> Float[Array, "rows columns"]:
-    """Return the worth of nodes at stored scans [nat]: a share of the greatest information of all.
+    """Return the worth of the nodes at stored scans [nat].
 
-    Args:
-        known: what the robot knows of its way.
-        belief: its belief.
-        share: (K,) share of each stored scan.
+    It is the share (K,) of the scan stored there, times the greatest information of any node.
     """
     frame, total = belief.information.frame, belief.information.total
     rows, columns = total.shape
@@ -283,14 +276,7 @@ def places_to_revisit(
 
 
 def corrected_state(robot: Dynamics, state: StateVector, before: Pose, after: Pose) -> StateVector:
-    """Return a state (nx,) moved by the correction of the robot's pose.
-
-    Args:
-        robot: model of the robot.
-        state: the state.
-        before: pose of the robot before the correction.
-        after: its pose after it.
-    """
+    """Return a state (nx,) moved by the correction of the robot's pose from `before` to `after`."""
     return robot.with_pose(state, compose(after, between(before, robot.pose(state))))
 
 

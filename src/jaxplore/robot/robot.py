@@ -48,13 +48,7 @@ class Told(NamedTuple):
 
 
 class Look(NamedTuple):
-    """What a camera reports of objects.
-
-    Args:
-        detections: reports of the detector.
-        place: (N, 2) positions of the objects [m].
-        position: position from which they were seen (x, y) [m].
-    """
+    """What a camera at `position` (x, y) reports of the objects at `place` (N, 2) [m]."""
 
     detections: Detections
     place: Float[Array, "N 2"]
@@ -147,13 +141,9 @@ class Robot(NamedTuple):
 
     In a control period `examine`, `map_scans`, `track_told` and `update_fields` follow each other.
 
-    Args:
-        model: model of the robot.
-        sensors: the sensors.
-        perception: update of the belief from scans.
-        localisation: how the robot finds its pose; None if its odometry tells it.
-        prior: map that the robot knew in advance, for one that finds its pose.
-        counts_walls: whether it counts the walls that it knows.
+    `localisation` is how the robot finds its pose; None if its odometry tells it. `prior` is the
+    map that the robot knew in advance, if it finds its pose. `counts_walls` is whether it counts
+    the walls that it knows.
     """
 
     model: Dynamics
@@ -166,12 +156,7 @@ class Robot(NamedTuple):
     def examine(self, own: RobotState, measured: Measurement) -> tuple[RobotState, Sight]:
         """Predict the obstacles, keep the points of a scan for the guard, and judge the scan.
 
-        The scan of a robot that finds its pose is judged by `map_scans`, where it says that the
-        robot is.
-
-        Args:
-            own: what the robot knows.
-            measured: what it measures.
+        If the robot finds its pose, `map_scans` judges the scan, at the pose that the scan gives.
         """
         pose, guard = measured.pose, measured.guard
         if guard is not None:
@@ -234,11 +219,6 @@ class Robot(NamedTuple):
         A robot that finds its pose lets a scan correct it first: what does not fit the map where
         the odometry led may fit where the scan says that the robot is. A scan that does not fit
         there either does not correct the pose of a robot that maps.
-
-        Args:
-            own: what the robot knows.
-            measured: what it measures.
-            sight: where and whether the scans are taken.
         """
 
         def sense(before: RobotState, _: Flag) -> tuple[RobotState, Flag]:
@@ -313,13 +293,7 @@ class Robot(NamedTuple):
         return reset
 
     def track_told(self, own: RobotState, measured: Measurement, sight: Sight) -> RobotState:
-        """Update the obstacles of which the robot is told, if it is told of them.
-
-        Args:
-            own: what the robot knows.
-            measured: what it measures.
-            sight: where and whether the scans are taken.
-        """
+        """Update the obstacles of which the robot is told, if it is told of them."""
         told, known = measured.told, own.belief.obstacles
         if told is None or known is None:
             return own
@@ -333,13 +307,7 @@ class Robot(NamedTuple):
         return own._replace(belief=dataclasses.replace(own.belief, obstacles=after))
 
     def update_fields(self, own: RobotState, measured: Measurement, sight: Sight) -> RobotState:
-        """Derive the fields if they are due, and what is left to learn.
-
-        Args:
-            own: what the robot knows.
-            measured: what it measures.
-            sight: where the robot takes itself to be.
-        """
+        """Derive the fields of the belief, if they are due and `sight.is_placed`."""
         place = own.place
 
         def derive(current: Belief) -> tuple[Belief]:
@@ -353,13 +321,7 @@ class Robot(NamedTuple):
     def learn(
         self, own: RobotState, measured: Measurement, position: Float[Array, "2"]
     ) -> RobotState:
-        """Update what is left to learn.
-
-        Args:
-            own: what the robot knows.
-            measured: what it measures.
-            position: where it takes itself to be (x, y) [m].
-        """
+        """Update what is left to learn; the robot takes itself to be at `position` [m]."""
         known = own.knowledge.after(own.belief, position, measured.elapsed)
         if self.counts_walls:
             known = jax.lax.cond(
@@ -373,10 +335,8 @@ class Robot(NamedTuple):
 def unfit_after(unfit: Scalar, misfit: Scalar, elapsed: Scalar) -> Scalar:
     """Return for how long scans have not fitted the map [s]; negative if the newest one does.
 
-    Args:
-        unfit: the same before that scan [s].
-        misfit: share of its returns that contradict the map.
-        elapsed: time since the scan before it [s].
+    `unfit` is the same time before the newest scan. `misfit` is the share of the scan's returns
+    that contradict the map. `elapsed` is the time since the scan before it [s].
     """
     longer = jnp.where(unfit < 0.0, 0.0, unfit + elapsed)
     return jnp.where(misfit > MAX_MISFIT, longer, FITTING)
@@ -394,11 +354,8 @@ def is_mapped_after(unfit: Scalar) -> Flag:
 def tell(known: Obstacles, told: Told, place: Pose | None = None) -> Obstacles:
     """Return the obstacles after a measurement of those in sight.
 
-    Args:
-        known: obstacles as the robot knows them.
-        told: the measurement.
-        place: pose from which the robot places them (x, y, yaw) [m, m, rad]; that of the
-            measurement when absent.
+    `place` is the pose from which the robot places them (x, y, yaw) [m, m, rad]; that of the
+    measurement when absent.
     """
     positions, velocities = told.positions, told.velocities
     if place is not None:

@@ -23,17 +23,12 @@ def scan_points(
     interval: Scalar,
     tracker: ObstacleTracker | None = None,
 ) -> ScanPoints:
-    """Return the end points of the scans, and how badly they fit the map.
+    """Return the end points of the scans, one of each sensor, and how badly they fit the map.
 
-    Args:
-        belief: what the robot knows, before the scans.
-        sensors: the sensors.
-        scans: a scan of each.
-        measured: pose (x, y, yaw) by the odometry, at which the scans must fit [m, m, rad].
-        expected: pose by which the points are placed, also where the odometry cannot be true.
-        time: time of the scans [s].
-        interval: time between two of them [s].
-        tracker: what tracks moving obstacles; without it nothing moves.
+    `belief` is what the robot knows before the scans. They must fit the map at the pose `measured`,
+    that of the odometry. The points are placed by the pose `expected`, also where the odometry
+    cannot be true. `time` is the time of the scans and `interval` the time between two of them [s].
+    Without a tracker of moving obstacles nothing moves.
     """
     points, is_point = [], []
     for sensor, scan in zip(sensors, scans, strict=True):

@@ -50,12 +50,9 @@ _SAME = {"tf/msg/tfMessage": KINDS["TFMessage"]}
 
 
 class BagTopic(NamedTuple):
-    """A topic of a bag.
+    """A topic of a bag: its kind, its type in ROS and its number of messages.
 
-    Args:
-        kind: one of `KINDS`; None for a kind that is not read.
-        type: name of the type in ROS.
-        number: number of messages.
+    The kind is one of `KINDS`, or None for a type that is not read.
     """
 
     kind: str | None
@@ -66,10 +63,8 @@ class BagTopic(NamedTuple):
 class BagMessage(NamedTuple):
     """A message of a bag.
 
-    Args:
-        time: time at which it was recorded [s].
-        topic: its topic.
-        message: an object with the attributes of the ROS message; arrays are NumPy's.
+    `time` is when it was recorded [s]. `message` has the attributes of the ROS message; its arrays
+    are NumPy's.
     """
 
     time: float
@@ -80,9 +75,6 @@ class BagMessage(NamedTuple):
 def bag_topics(path: str | os.PathLike[str]) -> dict[str, BagTopic]:
     """Return the topics of a bag by name.
 
-    Args:
-        path: a rosbag2 folder, its `.db3` or `.mcap` file, or a `.bag` of ROS 1.
-
     Raises:
         ValueError: a bag that is missing, damaged, compressed as a whole, too large or without
             messages; a missing `rosbags`.
@@ -92,16 +84,10 @@ def bag_topics(path: str | os.PathLike[str]) -> dict[str, BagTopic]:
 
 
 def choose_topic(topics: Mapping[str, BagTopic], kind: str, name: str | None = None) -> str:
-    """Return the topic of a kind in a bag.
+    """Return the topic of a kind, one of `KINDS`, in a bag.
 
-    Args:
-        topics: topics of the bag.
-        kind: one of `KINDS`.
-        name: name of the topic; with None there must be exactly one of the kind.
-
-    Raises:
-        ValueError: no topic of that kind, several without a name, a name of none or of another
-            kind.
+    A name must be that of a topic of the kind. Without one there must be exactly one such topic.
+    Otherwise it raises a `ValueError`.
     """
     known = [each for each, topic in topics.items() if topic.kind == kind]
     if name is None and len(known) == 1:
@@ -117,10 +103,6 @@ def choose_topic(topics: Mapping[str, BagTopic], kind: str, name: str | None = N
 
 def read_bag(path: str | os.PathLike[str], topics: Collection[str]) -> Iterator[BagMessage]:
     """Read the messages of some topics, in the order of their times.
-
-    Args:
-        path: a rosbag2 folder, its `.db3` or `.mcap` file, or a `.bag` of ROS 1.
-        topics: names of the topics.
 
     Raises:
         ValueError: as of `bag_topics`; a topic that the bag lacks, one of a kind that is not read,

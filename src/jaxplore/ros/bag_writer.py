@@ -29,15 +29,9 @@ SINGLE, NESTED, FIXED = 1, 2, 3
 class BagWriter:
     """Writes a bag, completely or not at all.
 
-    It is a context manager. The folder appears when the context is left; after an exception there
-    is none.
-
-    Args:
-        path: the folder of the bag, which does not exist yet.
-        storage: format of the file in it, "sqlite3" or "mcap".
-
-    Raises:
-        ValueError: a folder that exists or cannot be made, another format, a missing `rosbags`.
+    It is a context manager. The folder, which must not exist before, appears when the context is
+    left; after an exception there is none. The storage is one of `STORAGES`. A path that is no new
+    folder, another storage or a missing `rosbags` raises a `ValueError`.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, storage: str = "sqlite3") -> None:
@@ -65,17 +59,11 @@ class BagWriter:
         self._stack.__exit__(kind, error, trace)
 
     def write(self, topic: str, kind: str, message: Any, time: float) -> None:
-        """Write a message.
+        """Write a message that was recorded at a time [s].
 
-        Args:
-            topic: its topic, which has messages of one kind.
-            kind: one of `KINDS`.
-            message: an object with the attributes of the ROS message, such as one of rclpy.
-            time: time of recording [s].
-
-        Raises:
-            ValueError: another kind, a topic of two kinds, a message that lacks an attribute or has
-                one of another type; a writer that is not open.
+        The kind is one of `KINDS`, the same for all messages of a topic. The message is any object
+        with the attributes of the ROS message, such as one of rclpy. It raises a `ValueError` if
+        one is missing or of another type.
         """
         if self._writer is None:
             raise ValueError("BagWriter is not open; accepted: with BagWriter(...) as writer")
@@ -134,11 +122,7 @@ def _check_vacant(target: Path) -> None:
 
 
 def _packed(store: Any, kind: str, message: Any) -> Any:
-    """Return the bytes of a message.
-
-    Raises:
-        ValueError: it lacks an attribute, or has one of another type.
-    """
+    """Return the bytes of a message; a missing field or one of another type is a `ValueError`."""
     typed = _typed(store, KINDS[kind], message, kind)
     try:
         return store.serialize_cdr(typed, KINDS[kind])

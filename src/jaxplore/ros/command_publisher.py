@@ -18,12 +18,8 @@ COMMAND_TYPES = {
 class CommandPublisher:
     """Publishes velocity commands as `Twist` or `TwistStamped`.
 
-    With `command_type: auto` the type is that of the subscriptions to the topic: of a robot that
-    comes late as well, and `Twist` if there are both or none.
-
-    Args:
-        link: connection to ROS 2.
-        settings: topic, type and frame.
+    With `command_type: auto` the type is that of the subscriptions to the topic, also of a robot
+    that comes late. If there are both or none, the type stays; at the start it is `Twist`.
     """
 
     def __init__(self, link: Link, settings: NodeSettings) -> None:

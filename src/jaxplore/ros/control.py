@@ -52,12 +52,9 @@ ORDERS = ("start", "pause", "return", "stop")
 class Latencies:
     """Times of the loop.
 
-    Args:
-        scan_ms: time from the arrival of a scan to the command that follows from it [ms].
-        num_commands: number of commands.
-        num_late: number of commands that were due before their plan was ready.
-        num_compiled: number of programs that were compiled since the drive began; each one would
-            delay a command by seconds.
+    `scan_ms` has the times from the arrival of a scan to the command that follows from it [ms].
+    `num_late` counts commands that were due before their plan was ready. `num_compiled` counts
+    programs that were compiled since the drive began; each one would delay a command by seconds.
     """
 
     scan_ms: Rows = dataclasses.field(default_factory=lambda: Rows(1))
@@ -72,22 +69,15 @@ class Latencies:
 
 
 class ControlNode:
-    """Drives a robot over ROS 2.
+    """Drives a robot over ROS 2 with a pilot that `Pilot.prepare` has compiled.
 
-    Messages arrive in the thread of the link, which only keeps the newest ones. The loop runs in
-    the thread of the caller: it wakes up for each scan and for each control period. Plans are
-    computed in a third thread, maps and fields in a fourth. If a plan is not ready at the deadline,
-    the next command of the last plan is sent and counted.
+    Messages arrive in the thread of the link, which only keeps them. The loop runs in the thread of
+    the caller: it wakes up for each scan and for each control period. Plans are computed in a third
+    thread, maps and fields in a fourth. If a plan is not ready at the deadline, the next command of
+    the last plan is sent and counted.
 
-    Args:
-        link: connection to ROS 2.
-        pilot: pilot of the robot, compiled by `Pilot.prepare`.
-        settings: topics and numbers of the node.
-        monitors: live views and recorders of the drive.
-
-    Attributes:
-        gave_way: why the drive ended in favour of another node; empty otherwise.
-        gave_up: why the drive ended without the robot, see `Silence`; empty otherwise.
+    `gave_way` says why the drive ended in favour of another node. `gave_up` says why it ended
+    without the robot, see `Silence`. Both are empty otherwise.
     """
 
     def __init__(
@@ -190,11 +180,7 @@ class ControlNode:
         self._order(message.data)
 
     def _order(self, order: str) -> str:
-        """Take an order; return what happens, for the caller of a service.
-
-        Raises:
-            ValueError: an order that this drive cannot obey.
-        """
+        """Take an order; return what happens. One that the drive cannot obey is a `ValueError`."""
         if order == "return":
             self.pilot.task.check_return()
         with self._lock:
@@ -203,11 +189,7 @@ class ControlNode:
         return f"{order} is noted"
 
     def check_alone(self) -> None:
-        """Check that nothing else commands the robot.
-
-        Raises:
-            ValueError: the topic of the commands has another publisher.
-        """
+        """Wait until other nodes are found; raise a `ValueError` if one of them sends commands."""
         # What publishes scans has been there for longer, so others are found at about that time.
         self.link.wait_for(self.settings.scan_topic)
         others = self.link.other_publishers(self.settings.command_topic)
@@ -240,11 +222,7 @@ class ControlNode:
             self.link.warn("other publisher", self._shared(other))
 
     def run(self, is_stopped: threading.Event) -> None:
-        """Drive until the task is done or the event is set, and then stand.
-
-        Args:
-            is_stopped: ends the drive when it is set.
-        """
+        """Drive until the task is done or the event is set, and then stand."""
         self.watch.prepare()
         self._began = time.time()
         jax.monitoring.register_event_duration_secs_listener(self._count)

@@ -24,17 +24,11 @@ COST_OPACITY = 0.8
 
 
 class DrivePublisher:
-    """Publishes state, belief, information, plan and rollouts of a pilot.
+    """Publishes state, belief, information, plan and rollouts of a pilot, which is compiled.
 
-    What nobody has subscribed to is not computed.
-
-    Args:
-        link: connection to ROS 2.
-        pilot: the pilot, which is compiled.
-        rollout_colour: what colours the rollouts: their weight, total cost, or a term by name.
-
-    Raises:
-        ValueError: a colour that is not known of the rollouts of the controller.
+    What nobody has subscribed to is not computed. `rollout_colour` is what colours the rollouts:
+    their weight, their total cost or a term of it. A name that the controller does not know raises
+    a `ValueError`.
     """
 
     def __init__(self, link: Link, pilot: Pilot, rollout_colour: str = WEIGHT) -> None:
@@ -60,13 +54,7 @@ class DrivePublisher:
             raise ValueError(f"rollout_colour is {name!r}; accepted: {', '.join(self._known)}")
 
     def publish_due(self, now: float, frame: str, state: dict[str, object]) -> bool:
-        """Publish what is due; return whether the state was.
-
-        Args:
-            now: time for the stamps [s].
-            frame: name of the fixed frame.
-            state: entries of the state.
-        """
+        """Publish what is due at a time [s] in the fixed frame; return whether the state was."""
         is_told = self._is_due("state", STATE_SECONDS)
         if is_told:
             self.publish_state(state)
@@ -80,13 +68,7 @@ class DrivePublisher:
         return is_told
 
     def publish_transform(self, now: float, frame: str, child: str) -> None:
-        """Publish the pose of the odometry's frame in that of the map, as SLAM nodes do.
-
-        Args:
-            now: present time [s].
-            frame: name of the frame of the map.
-            child: name of the frame of the odometry.
-        """
+        """Publish the pose of the odometry's frame, `child`, in the map's, as SLAM nodes do."""
         link, ros = self._link, self._link.ros
         if self._correction is None:
             self._correction = link.publisher(ros.TransformStamped, "~/correction")
@@ -102,11 +84,7 @@ class DrivePublisher:
             self._transforms.publish(message)
 
     def publish_state(self, state: dict[str, object]) -> None:
-        """Publish the state as JSON.
-
-        Args:
-            state: entries of the state.
-        """
+        """Publish the state as JSON."""
         message = self._link.ros.String()
         message.data = json.dumps(state)
         self._state.publish(message)
@@ -160,9 +138,7 @@ class DrivePublisher:
 def rollout_colours(frame: Any, name: str) -> np.ndarray:
     """Return red, green, blue and opacity (N, 4) of the rollouts of a frame, from 0 to 1.
 
-    Args:
-        frame: frame with rollouts, their weights and their costs.
-        name: what colours them: their weight, from blue to red, their total cost, or a term of it.
+    They show the weight, from blue to red, the total cost or a term of it, by name.
     """
     if name != WEIGHT:
         colours = cost_colours(costs_of_rollouts(frame, name)) / 255.0

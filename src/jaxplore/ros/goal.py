@@ -26,14 +26,9 @@ MAX_AGE = 5.0
 class GoalNode:
     """Publishes goals for nav2 or another program that drives.
 
-    Args:
-        link: connection to ROS 2.
-        chooser: chooser of goals.
-        settings: topics and numbers of the node.
-        resolution: side of a cell of the map that goals are chosen on [m].
-
-    Attributes:
-        gave_up: why the run ended without the robot, see `Silence`; empty otherwise.
+    Goals are chosen on a map with cells of `resolution` [m]. A finer map is resampled, and a
+    coarser one gives a warning. `gave_up` says why the run ended without the robot, see `Silence`;
+    it is empty otherwise.
     """
 
     def __init__(
@@ -77,11 +72,7 @@ class GoalNode:
             self._pose = pose
 
     def run(self, is_stopped: threading.Event) -> str:
-        """Publish goals until no place is worth a visit; return why it ended.
-
-        Args:
-            is_stopped: ends the run when it is set.
-        """
+        """Publish goals until no place is worth a visit or the event is set; return the reason."""
         without_goal_since = math.inf
         shown: Goal | None = None
         clock, stamps = DriveClock(CHOICE_SECONDS), Stamps(CHOICE_SECONDS)

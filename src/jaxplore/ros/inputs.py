@@ -31,11 +31,7 @@ class _FrameCheck:
         self._frame: str | None = None
 
     def __call__(self, frame: str) -> None:
-        """Check the frame of a message.
-
-        Raises:
-            ValueError: another frame than that of the first message.
-        """
+        """Raise a `ValueError` if the frame is not that of the first message."""
         if self._frame is None:
             self._frame = frame
         elif frame != self._frame:
@@ -50,15 +46,8 @@ def subscribe_pose(
 ) -> None:
     """Subscribe to the pose of the robot: odometry, a localisation, or transforms.
 
-    Messages that are malformed, or of another frame than the first, give a warning.
-
-    Args:
-        link: connection to ROS 2.
-        settings: topics and types.
-        take: function that takes each pose, with its arrival.
-
-    Raises:
-        ValueError: transforms are asked for, and their package is missing.
+    `take` gets each pose with its arrival. Messages that are malformed, or of another frame than
+    the first, give a warning. Transforms whose package is missing raise a `ValueError`.
     """
     if settings.pose_type == "tf":
         _subscribe_transforms(link, settings, take)
@@ -124,15 +113,10 @@ def subscribe_scan(
     no_echo: NoEcho,
     take: Callable[[messages.LaserScan], None],
 ) -> None:
-    """Subscribe to the lidar; messages that are malformed, or of another lidar, give a warning.
+    """Subscribe to the lidar; `take` gets each scan with its arrival.
 
-    Args:
-        link: connection to ROS 2.
-        settings: topics and types.
-        sensor: sensor that the scans are for.
-        mount: pose of the lidar on the robot.
-        no_echo: which readings met nothing; what it finds is logged.
-        take: function that takes each scan, with its arrival.
+    Messages that are malformed, or of another lidar, give a warning. What `no_echo` finds is
+    logged.
     """
     topic = link.topic(settings.scan_topic)
     check = _FrameCheck(topic)

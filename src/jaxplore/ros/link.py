@@ -21,12 +21,8 @@ QUIET_SECONDS = 5.0
 class Link:
     """A ROS 2 node with its publishers, subscriptions and warnings.
 
-    Callbacks of messages run in the thread of the link, so they must be short.
-
-    Args:
-        name: name of the node.
-        ros: packages of ROS, of `import_ros`.
-        namespace: namespace of the node, without a leading slash; none when absent.
+    Callbacks of messages run in the thread of the link, so they must be short. `ros` are the
+    packages of `import_ros`. The namespace has no leading slash; there is none when absent.
     """
 
     def __init__(self, name: str, ros: Any, namespace: str | None = None) -> None:
@@ -69,13 +65,7 @@ class Link:
         return Instant(self.now(), time.monotonic(), is_simulated)
 
     def warn_of_clock(self, name: str, stamped: float, at: Instant) -> None:
-        """Warn of a stamp that is not believed, see `onboard.drive_clock.Stamps`.
-
-        Args:
-            name: name of the topic.
-            stamped: time of the stamp [s].
-            at: when its message arrived.
-        """
+        """Warn of a stamp [s] that is not believed, see `onboard.drive_clock.Stamps`."""
         ahead = stamped - at.clock
         if not -CLOCK_TOLERANCE <= ahead <= MAX_STEP:
             self.warn(
@@ -106,15 +96,10 @@ class Link:
         is_kept: bool = False,
         depth: int | None = None,
     ) -> None:
-        """Subscribe to a topic; a message that is malformed gives a warning.
+        """Subscribe to a topic; a message that `handle` finds malformed gives a warning.
 
-        Args:
-            kind: class of the messages.
-            topic: name of the topic.
-            handle: function that takes a message; a `ValueError` becomes a warning.
-            is_kept: whether the last message is wanted that was published before.
-            depth: number of messages that wait; the newest of what is kept, and 5 of the rest, when
-                absent.
+        With `is_kept` the last message comes too that was published before. `depth` is the number
+        of messages that wait. When absent it is 1 of what is kept, and 5 of the rest.
         """
 
         full = self.topic(topic)
@@ -130,13 +115,7 @@ class Link:
         self.node.create_subscription(kind, topic, take, quality)
 
     def publisher(self, kind: Any, topic: str, *, is_kept: bool = False) -> Any:
-        """Return a publisher.
-
-        Args:
-            kind: class of the messages.
-            topic: name of the topic.
-            is_kept: whether late subscribers get the last message.
-        """
+        """Return a publisher; with `is_kept` late subscribers get the last message."""
         return self.node.create_publisher(kind, topic, self._quality(is_kept, is_input=False))
 
     def other_publishers(self, topic: str) -> list[str]:
@@ -149,15 +128,9 @@ class Link:
         return found
 
     def other_types(self, topic: str, *, is_published: bool) -> dict[str, str]:
-        """Return the types of the messages that other nodes publish on a topic, or listen to.
+        """Return the types that other nodes publish on a topic, or else listen to.
 
-        Args:
-            topic: name of the topic.
-            is_published: whether publishers are asked for; otherwise subscriptions.
-
-        Returns:
-            The names of the types, such as `geometry_msgs/msg/Twist`, each with the name of one of
-            the nodes.
+        Each name, such as `geometry_msgs/msg/Twist`, has the name of one of these nodes.
         """
         node = self.node
         find = (
@@ -176,10 +149,8 @@ class Link:
         """Wait until the nodes that are there have been found.
 
         Nodes are found at different times on a busy machine, so the wait is for a publisher of a
-        topic, and a little longer.
-
-        Args:
-            topic: name of a topic that another node publishes for sure; None where none is known.
+        topic that another node publishes for sure, and a little longer. The topic is None where
+        none is known.
         """
         while time.monotonic() - self._began < MOST_DISCOVERY_SECONDS:
             is_found = topic is None or self.other_publishers(topic)
@@ -190,9 +161,7 @@ class Link:
     def service(self, name: str, handle: Callable[[], str]) -> None:
         """Offer a `std_srvs/Trigger`, if that package is there.
 
-        Args:
-            name: name of the service.
-            handle: function that does it and returns a message; a `ValueError` is a failure.
+        `handle` does it and returns a message; a `ValueError` is a failure.
         """
         if self.ros.Trigger is None:
             return
@@ -230,14 +199,9 @@ class Link:
 
 @contextmanager
 def connected(name: str, namespace: str | None = None) -> Iterator[Link]:
-    """Connect to ROS 2 for the duration of a block.
+    """Connect to ROS 2 for the duration of a block, with a node as of `Link`.
 
-    Args:
-        name: name of the node.
-        namespace: namespace of the node, without a leading slash; none when absent.
-
-    Raises:
-        ValueError: ROS 2 is missing, or it cannot be started.
+    It raises a `ValueError` if ROS 2 is missing or cannot be started.
     """
     ros = import_ros()
     # Importing the package does not import these modules.

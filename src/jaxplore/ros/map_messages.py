@@ -25,16 +25,9 @@ UNKNOWN = -1
 def grid_of(message: Any, offset: np.ndarray | None = None) -> OccupancyGrid:
     """Convert a `nav_msgs/OccupancyGrid`: -1 is a probability of 1/2, and v is v / 100.
 
-    The value 50 becomes the float above 1/2, so that `fill_grid` tells it from -1.
-
-    Args:
-        message: the message.
-        offset: (2,) position of which the grid's origin is relative [m]; none when absent. Far from
-            the origin, single precision has centimetres only.
-
-    Raises:
-        ValueError: another number of cells than rows times columns, no cells or too many, a value
-            outside -1 to 100, a resolution that is not positive, an origin that is no pose.
+    The value 50 becomes the float above 1/2, so that `fill_grid` tells it from -1. The origin of
+    the grid is made relative to the position `offset` (2,) [m]: far from the origin, single
+    precision has centimetres only.
     """
     info = message.info
     rows, columns = int(info.height), int(info.width)
@@ -73,13 +66,8 @@ def fill_grid(
 ) -> None:
     """Fill a `nav_msgs/OccupancyGrid`; a probability of exactly 1/2 is unknown.
 
-    Args:
-        message: the message.
-        probability: (H, W) probability of each cell, row 0 at the origin.
-        resolution: side of a cell [m].
-        origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
-        seconds: time [s].
-        frame: name of the frame of the origin.
+    The origin is the pose (x, y, yaw) in `frame` [m, m, rad] of the outer corner of cell (0, 0).
+    Row 0 of the probabilities (H, W) is there. The resolution is the side of a cell [m].
     """
     messages.fill_header(message.header, seconds, frame)
     messages.fill_time(message.info.map_load_time, seconds)
@@ -91,12 +79,7 @@ def fill_grid(
 
 
 def path_of(message: Any) -> tuple[str, np.ndarray]:
-    """Return the frame and the poses (N, 3) of a `nav_msgs/Path` [m, m, rad].
-
-    Raises:
-        ValueError: too many poses, numbers that are not finite, an orientation that is no
-            quaternion.
-    """
+    """Return the frame and the poses (N, 3) of a `nav_msgs/Path` [m, m, rad]."""
     poses = list(message.poses)
     if len(poses) > MOST_POSES:
         raise ValueError(f"path has {len(poses)} poses; accepted: at most {MOST_POSES}")
@@ -107,15 +90,7 @@ def path_of(message: Any) -> tuple[str, np.ndarray]:
 def fill_path(
     message: Any, make_pose: Callable[[], Any], poses: np.ndarray, seconds: float, frame: str
 ) -> None:
-    """Fill a `nav_msgs/Path`.
-
-    Args:
-        message: the message.
-        make_pose: class of a `geometry_msgs/PoseStamped`.
-        poses: (N, 3) poses (x, y, yaw) [m, m, rad].
-        seconds: time [s].
-        frame: name of the frame of the poses.
-    """
+    """Fill a `nav_msgs/Path` with poses (N, 3) [m, m, rad]; `make_pose` makes a `PoseStamped`."""
     messages.fill_header(message.header, seconds, frame)
     message.poses = [make_pose() for _ in poses]
     for each, pose in zip(message.poses, poses, strict=True):
@@ -138,16 +113,10 @@ def fill_rollouts(
     seconds: float,
     frame: str,
 ) -> None:
-    """Fill a `visualization_msgs/MarkerArray` with the lines of rollouts.
+    """Fill a `visualization_msgs/MarkerArray` with lines (N, T, 2) of rollouts [m].
 
-    Args:
-        message: the message.
-        make_marker: class of a `visualization_msgs/Marker`.
-        make_point: class of a `geometry_msgs/Point`.
-        lines: (N, T, 2) positions of N rollouts [m].
-        colours: (N, 4) red, green, blue and opacity of each, from 0 to 1.
-        seconds: time [s].
-        frame: name of the frame of the positions.
+    `colours` (N, 4) are red, green, blue and opacity of each, from 0 to 1. `make_marker` and
+    `make_point` are the classes `Marker` and `Point` of ROS.
     """
     message.markers = [make_marker() for _ in lines]
     for index, (each, line, colour) in enumerate(zip(message.markers, lines, colours, strict=True)):

@@ -52,14 +52,10 @@ LONGEST_SWEEP = 1.0
 class LaserScan(NamedTuple):
     """A scan of a lidar.
 
-    Args:
-        time: time of the first reading [s].
-        frame: name of the frame of the lidar.
-        scan: the readings, one for each beam of the sensor.
-        points: (N, 2) all valid returns in the frame of the robot [m], also of readings that no
-            beam of the sensor has.
-        received: when it arrived; None where nobody has noted it.
-        sweep: when its directions were measured; None where the driver does not tell.
+    `time` is that of the first reading [s]. `points` (N, 2) are all valid returns in the frame of
+    the robot [m], also of readings that no beam of the sensor has. `received` is when it arrived;
+    None where nobody has noted it. `sweep` is when its directions were measured; None where the
+    driver does not tell.
     """
 
     time: float
@@ -71,13 +67,9 @@ class LaserScan(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Pose of a lidar on a robot.
+    """Pose of a lidar on a robot: x ahead of its centre, y to the left [m], and yaw [rad].
 
-    Args:
-        x: position ahead of the robot's centre [m].
-        y: position to the left of it [m].
-        yaw: heading of the lidar's x axis relative to the robot's [rad].
-        is_inverted: whether the lidar hangs upside down, so that its angles grow clockwise.
+    An inverted lidar hangs upside down, so that its angles grow clockwise.
     """
 
     x: float = 0.0
@@ -93,11 +85,7 @@ def text_of(value: object) -> str:
 
 
 def time_of(stamp: Any) -> float:
-    """Convert a `builtin_interfaces/Time` to seconds.
-
-    Raises:
-        ValueError: a negative time, or nanoseconds of a second or more.
-    """
+    """Convert a `builtin_interfaces/Time`, which must not be negative, to seconds."""
     seconds, nanoseconds = int(stamp.sec), int(stamp.nanosec)
     if seconds < 0 or not 0 <= nanoseconds < 1_000_000_000:
         raise ValueError(
@@ -117,8 +105,7 @@ def fill_time(stamp: Any, seconds: float) -> None:
 def yaw_of(quaternion: Any) -> float:
     """Return the yaw of a `geometry_msgs/Quaternion` [rad], in [-pi, pi].
 
-    Raises:
-        ValueError: a quaternion that is not finite, or whose norm is not within 0.1 of 1.
+    A norm that is not within 0.1 of 1 raises a `ValueError`.
     """
     x, y, z, w = (float(getattr(quaternion, name)) for name in "xyzw")
     norm = math.sqrt(x * x + y * y + z * z + w * w)
@@ -138,11 +125,7 @@ def fill_pose(pose: Any, place: Sequence[float] | np.ndarray) -> None:
 
 
 def pose_of(pose: Any) -> np.ndarray:
-    """Return the pose (x, y, yaw) of a `geometry_msgs/Pose` [m, m, rad].
-
-    Raises:
-        ValueError: a position that is not finite, or an orientation that is no quaternion.
-    """
+    """Return the pose (x, y, yaw) of a `geometry_msgs/Pose` [m, m, rad]."""
     x, y = float(pose.position.x), float(pose.position.y)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"position is ({x}, {y}); accepted: finite numbers")
@@ -150,11 +133,7 @@ def pose_of(pose: Any) -> np.ndarray:
 
 
 def odometry_of(message: Any) -> Odometry:
-    """Convert a `nav_msgs/Odometry`, a `PoseWithCovarianceStamped` or a `PoseStamped`.
-
-    Raises:
-        ValueError: numbers that are not finite, an orientation that is no quaternion.
-    """
+    """Convert a `nav_msgs/Odometry`, a `PoseWithCovarianceStamped` or a `PoseStamped`."""
     inner = message.pose
     pose = pose_of(inner.pose if hasattr(inner, "pose") else inner)
     twist = twist_of(message.twist.twist) if hasattr(message, "twist") else None
@@ -163,13 +142,7 @@ def odometry_of(message: Any) -> Odometry:
 
 
 def fill_odometry(message: Any, odometry: Odometry, child_frame: str) -> None:
-    """Fill a `nav_msgs/Odometry`.
-
-    Args:
-        message: the message.
-        odometry: pose and velocity.
-        child_frame: name of the robot's frame.
-    """
+    """Fill a `nav_msgs/Odometry`; `child_frame` is the robot's frame."""
     fill_header(message.header, odometry.time, odometry.frame)
     message.child_frame_id = child_frame
     fill_pose(message.pose.pose, odometry.pose)
@@ -184,11 +157,7 @@ def fill_header(header: Any, seconds: float, frame: str) -> None:
 
 
 def twist_of(message: Any) -> np.ndarray:
-    """Return (vx, vy, omega) of a `geometry_msgs/Twist` [m/s, m/s, rad/s].
-
-    Raises:
-        ValueError: numbers that are not finite.
-    """
+    """Return (vx, vy, omega) of a `geometry_msgs/Twist` [m/s, m/s, rad/s]."""
     given = (message.linear.x, message.linear.y, message.angular.z)
     twist = np.array([float(each) for each in given])
     if not np.isfinite(twist).all():
@@ -209,19 +178,11 @@ def laser_scan_of(
     """Convert a `sensor_msgs/LaserScan`.
 
     The angle of reading k is `angle_min + k angle_increment`; `angle_max`, which drivers round
-    differently, is not read, nor are the intensities. What readings mean is said at
-    `Scan.from_ranges`. The lidar's position on the robot moves the points. The beams of the scan
-    start at the lidar, and `Perception.observe` needs the pose of the lidar.
+    differently, is not read, nor are the intensities. `Scan.from_ranges` says what readings mean.
+    The lidar's position on the robot, at its centre without a mount, moves the points. The beams of
+    the scan start at the lidar, and `Perception.observe` needs the pose of the lidar.
 
-    Args:
-        message: the message.
-        sensor: sensor that the scan is for.
-        mount: pose of the lidar on the robot; at its centre when absent.
-        no_echo: which readings met nothing; by the rule `auto` for this scan alone when absent.
-
-    Raises:
-        ValueError: no readings or too many, angles that are not finite, an increment of 0, a
-            `range_max` that is not above `range_min`.
+    `no_echo` says which readings met nothing; when absent, `auto` does for this scan alone.
     """
     mount = Mount() if mount is None else mount
     ranges = np.asarray(message.ranges, np.float64)
@@ -273,17 +234,11 @@ def fill_laser_scan(
     period: float,
     pause: float = 0.0,
 ) -> None:
-    """Fill a `sensor_msgs/LaserScan` with a scan; beams that met nothing are infinite, and those
-    without a measurement NaN (REP 117).
+    """Fill a `sensor_msgs/LaserScan` with a scan at a time in seconds.
 
-    Args:
-        message: the message.
-        scan: the scan.
-        sensor: sensor of the scan.
-        seconds: time of the scan [s].
-        frame: name of the frame of the lidar.
-        period: time between two scans [s].
-        pause: time between two readings [s]; 0 for readings of one time.
+    Beams that met nothing are infinite, and those without a measurement NaN (REP 117). `period` is
+    the time between two scans [s]. `pause` is that between two readings [s]; 0 for readings of one
+    time.
     """
     fill_header(message.header, seconds, frame)
     angles = sensor.beam_angles.astype(np.float64)
@@ -300,15 +255,7 @@ def fill_laser_scan(
 def fill_transform(
     message: Any, seconds: float, parent: str, child: str, place: Sequence[float] | np.ndarray
 ) -> None:
-    """Fill a `geometry_msgs/TransformStamped`.
-
-    Args:
-        message: the message.
-        seconds: time of the transform [s].
-        parent: name of the frame in which the pose is.
-        child: name of the frame whose pose it is.
-        place: pose (x, y, yaw) of the child [m, m, rad].
-    """
+    """Fill a `geometry_msgs/TransformStamped` with the pose (x, y, yaw) [m, m, rad] of a child."""
     fill_header(message.header, seconds, parent)
     message.child_frame_id = child
     x, y, yaw = map(float, place)

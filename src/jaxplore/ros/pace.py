@@ -7,12 +7,9 @@ LOOKS = 8
 
 
 class Pace:
-    """Says when a command is due: a part of the control period after the last one.
+    """Says when a command is due: a part of the control period [s] after the last one.
 
     With a simulated clock the period is simulated time, and real time while it stands still.
-
-    Args:
-        period: control period [s].
     """
 
     def __init__(self, period: float) -> None:

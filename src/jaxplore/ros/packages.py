@@ -27,8 +27,7 @@ FURTHER = {"tf2_msgs": ("TFMessage",), "visualization_msgs": ("Marker", "MarkerA
 def import_ros() -> Any:
     """Import rclpy and the messages, and return them by name; those that are missing are None.
 
-    Raises:
-        ValueError: rclpy or one of the packages that every mode needs is missing.
+    Without rclpy or a package of `MESSAGES` it raises a `ValueError`.
     """
     found: dict[str, Any] = {}
     try:

@@ -33,14 +33,10 @@ rest."""
 class Replayed(NamedTuple):
     """What came of a replay.
 
-    Args:
-        times: time of each command since the first message, without what was skipped [s].
-        commands: the commands.
-        num_messages: number of messages that were fed.
-        num_malformed: number of messages that were left out, and the first reason.
-        reason: why the first of them was left out; empty without any.
-        skipped: recorded time that was left out, because it had no messages [s].
-        news: what was found about beams that met nothing; empty without any.
+    `times` are those of the commands since the first message, without what was skipped [s].
+    `num_malformed` messages were left out, the first one for `reason`. `skipped` is the recorded
+    time that was left out, because it had no messages [s]. `news` is what was found about beams
+    that met nothing. `reason` and `news` are empty where there is nothing to tell.
     """
 
     times: list[float]
@@ -57,11 +53,8 @@ def replay_topics(
 ) -> tuple[str, str]:
     """Return the topics of the scan and of the pose in a bag.
 
-    Args:
-        path: the bag.
-        scan: name of the topic of the scan; the only one of that kind when absent.
-        pose: name of the topic of the pose; the only odometry when absent, or else the only pose,
-            or else the transforms.
+    Without a name the scan is the only topic of its kind, and the pose is the only odometry, or
+    else the only pose, or else the transforms.
 
     Raises:
         ValueError: a bag that cannot be read, without such topics, or with several.
@@ -101,17 +94,12 @@ def replay(
     """Feed a bag to a pilot, in the order and at the times of its messages.
 
     A gap in the bag is a gap in the data: the pilot brakes in it. Of a gap that is longer than
-    `GAP_SECONDS` the rest is left out, for the pilot as well.
+    `GAP_SECONDS` the rest is left out, for the pilot as well. The pilot's option `is_obeyed` is
+    false, because the recorded robot did not obey.
 
-    Args:
-        path: the bag.
-        pilot: the pilot; its option `is_obeyed` is false, because the recorded robot did not obey.
-        scan: topic of the scan.
-        pose: topic of the pose; of transforms the pose follows from a chain of those of all topics,
-            such as `map -> odom -> base_link`.
-        mount: pose of the lidar on the robot.
-        no_echo: which readings met nothing; by the rule `auto` when absent.
-        on_progress: called with the recorded time since the first message [s].
+    Where the topic of the pose has transforms, the pose follows from a chain of those of all
+    topics, such as `map -> odom -> base_link`. `no_echo` says which readings met nothing; when
+    absent, the rule `auto` does. `on_progress` gets the recorded time since the first message [s].
 
     Raises:
         ValueError: a bag that cannot be read; transforms without a frame of a robot.

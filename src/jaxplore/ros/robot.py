@@ -33,13 +33,7 @@ class RobotNode:
     As a real robot's base it publishes the transforms from the odometry's frame to the robot's and
     on to the lidar's, where `tf2_msgs` is installed. With a map it also does what a SLAM node does:
     the map is in a frame of its own, in which it publishes the pose, and whose transform to the
-    odometry's takes the drift away.
-
-    Args:
-        link: connection to ROS 2.
-        robot: the robot.
-        command_type: type of the commands, "twist" or "twist_stamped".
-        has_map: whether the map of what the lidar has seen is published.
+    odometry's takes the drift away. `command_type` is one of `COMMAND_TYPES`.
     """
 
     def __init__(
@@ -86,11 +80,7 @@ class RobotNode:
         return message
 
     def check_alone(self) -> None:
-        """Check that no other robot is there.
-
-        Raises:
-            ValueError: the topic of the scans has another publisher.
-        """
+        """Wait until other nodes are found; raise a `ValueError` if one of them publishes scans."""
         self.link.wait_for(None)
         others = self.link.other_publishers(SCAN_TOPIC)
         if others:
@@ -108,12 +98,8 @@ class RobotNode:
     ) -> bool:
         """Simulate at wall-clock time; return whether the run was stopped before its end.
 
-        It ends when the task of the scenario is finished, or at the time limit.
-
-        Args:
-            is_stopped: ends the run when it is set.
-            time_limit: greatest simulated time [s].
-            on_progress: called with the share of the time limit, and a text.
+        It ends when the task of the scenario is finished, or at the limit of simulated time [s].
+        `on_progress` gets the share of that limit, and a text.
         """
         robot, began = self.robot, time.monotonic()
         next_map = next_state = 0.0

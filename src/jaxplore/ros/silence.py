@@ -15,13 +15,9 @@ REPORT_SECONDS = 60.0
 class Silence:
     """Tells that topics are silent, and when to give up.
 
-    A topic that has never been heard counts from the start. Times are real ones: with a simulator
-    that is paused nothing comes either.
-
-    Args:
-        link: connection to ROS 2.
-        topics: names of the topics that the node needs, as messages call them.
-        give_up_after: silence after which the node ends [s]; it waits for ever when absent.
+    Topics have their full names. One that has never been heard counts from the start. Times are
+    real ones: with a simulator that is paused nothing comes either. `give_up_after` is the silence
+    after which the node ends [s]; it waits for ever when absent.
     """
 
     def __init__(self, link: Link, topics: Sequence[str], give_up_after: float | None) -> None:
@@ -45,11 +41,7 @@ class Silence:
         return time.monotonic() - min(self._heard.values(), default=math.inf)
 
     def check(self) -> str:
-        """Report a long silence once a minute.
-
-        Returns:
-            Why the node gives up; empty while it does not.
-        """
+        """Report a long silence once a minute; return why the node gives up, or an empty text."""
         if not self.is_long:
             return ""
         now = time.monotonic()

@@ -102,15 +102,11 @@ class Transforms:
         self._edges: dict[str, _Edge] = {}
 
     def add(self, message: Any, *, is_static: bool = False) -> None:
-        """Take a `geometry_msgs/TransformStamped`.
+        """Take a `geometry_msgs/TransformStamped`; a static one, of `/tf_static`, is for all times.
 
-        Args:
-            message: the transform.
-            is_static: whether it holds for all times, as those of `/tf_static`.
-
-        Raises:
-            ValueError: numbers that are not finite, a rotation that is no unit quaternion, an
-                impossible stamp, a frame that is its own parent or without a name, too many frames.
+        It raises a `ValueError` for numbers that are not finite, a rotation that is no unit
+        quaternion, an impossible stamp, a frame that is its own parent or without a name, and too
+        many frames.
         """
         parent, child = _name(message.header.frame_id), _name(message.child_frame_id)
         if not 0 < len(parent) <= MOST_LETTERS or not 0 < len(child) <= MOST_LETTERS:
@@ -133,21 +129,12 @@ class Transforms:
         edge.add(time, place)
 
     def pose(self, parent: str, child: str) -> messages.Odometry | None:
-        """Return the newest pose of a frame in another one that all transforms between tell.
+        """Return the newest pose of `child` in `parent` that all transforms between tell.
 
         Its time is the earliest of the newest stamps of the chain, as of tf2's latest common time;
         the other transforms are interpolated at it. Static ones have no time, and a chain of
-        nothing else is of time 0.
-
-        Args:
-            parent: name of the frame in which the pose is.
-            child: name of the frame whose pose it is.
-
-        Returns:
-            The pose, its yaw that of the chain in three dimensions; None without a chain.
-
-        Raises:
-            ValueError: frames that are each other's parents.
+        nothing else is of time 0. The yaw is that of the chain in three dimensions. Without a chain
+        it returns None. Frames that are each other's parents raise a `ValueError`.
         """
         parent, child = _name(parent), _name(child)
         up, down = self._ancestors(child), self._ancestors(parent)

@@ -28,15 +28,10 @@ _ZSTD_BLOCK = 2**17
 
 
 def check_chunks(path: Path, limit: int = CHUNK_LIMIT) -> None:
-    """Check that no chunk of an MCAP file can be unpacked to more than a limit.
+    """Check that no chunk of an MCAP file can be unpacked to more than a limit [bytes].
 
-    Args:
-        path: the file.
-        limit: the limit [bytes].
-
-    Raises:
-        ValueError: a chunk that may be larger, or is packed in a way that is not known; a file that
-            is no MCAP. A damaged one may raise a `struct.error` or an `IndexError`.
+    It raises a `ValueError` for a chunk that may be larger or is packed in an unknown way, and for
+    a file that is no MCAP. A damaged one may raise a `struct.error` or an `IndexError`.
     """
     with _open_after(_MAGIC, path, "MCAP file") as (file, end):
         while file.tell() < end - len(_MAGIC):
@@ -75,16 +70,11 @@ def _check_chunk(file: BinaryIO, limit: int) -> None:
 
 
 def check_records(path: Path, limit: int = CHUNK_LIMIT) -> None:
-    """Check the records of a bag of ROS 1: no chunk is unpacked to more than a limit.
+    """Check that no chunk of a bag of ROS 1 is unpacked to more than a limit [bytes].
 
-    Args:
-        path: the file.
-        limit: the limit, also of each record and header [bytes].
-
-    Raises:
-        ValueError: a chunk or a record that is larger, or a chunk that is packed in a way that is
-            not known; a file that is no such bag, or ends within a record. A damaged one may raise
-            a `struct.error`, an `IndexError` or an `OSError`.
+    The limit is also that of each record and header. It raises a `ValueError` for one that is
+    larger, a chunk that is packed in an unknown way, and a file that is no such bag or ends within
+    a record. A damaged one may raise a `struct.error`, an `IndexError` or an `OSError`.
     """
     with _open_after(_ROS1_MAGIC, path, "bag of ROS 1, version 2.0") as (file, end):
         while file.tell() < end:
@@ -153,11 +143,9 @@ def lz4_bound(data: bytes) -> int:
 
 
 def _bound(data: bytes, frame: Callable[[bytes, int], tuple[int, int]]) -> int:
-    """Return the sum of the bounds of all frames [bytes].
+    """Return the sum of the bounds of all frames [bytes]; both formats share skippable frames.
 
-    Args:
-        data: the frames, and skippable ones, which both formats share.
-        frame: function that returns the position after the frame at a position, and its bound.
+    `frame` returns the position after the frame at a position, and its bound.
     """
     at = total = 0
     while at < len(data):

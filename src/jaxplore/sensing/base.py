@@ -353,11 +353,6 @@ def update_grid(
     Each cell is updated once per scan, however many beams cross it. It is updated as occupied if at
     least a third of these beams hit it, else as free. So a wall survives beams that graze it, and
     the one reading in fifty that noise cuts short does not close a passage beside the beam.
-
-    Args:
-        belief: occupancy grid before the scan.
-        sighting: hits and passes of the scan, from `Sensor.sight`.
-        model: inverse sensor model.
     """
     hits, passes, window = sighting
     is_occupied = (hits > 0) & (ONE_HIT_IN * hits >= hits + passes)

@@ -22,11 +22,9 @@ def covers_circle(view: float) -> bool:
 
 
 def angle_between(number: int, view: float) -> float:
-    """Return the angle between neighbouring beams that are evenly spaced in a field of view [rad].
+    """Return the angle between neighbours among evenly spaced beams [rad].
 
-    Args:
-        number: number of beams.
-        view: angle between the outermost beams [rad]; 2 pi for a full circle.
+    `view` is the angle between the outermost beams [rad]; 2 pi for a full circle.
     """
     # On a full circle the last beam is followed by the first: there are as many gaps as beams.
     return view / (number if covers_circle(view) else max(1, number - 1))
@@ -45,10 +43,8 @@ def fan_angles(number: int, view: float) -> np.ndarray:
 class Beams(eqx.Module):
     """Fan of beams with equal angles between them, symmetric to the heading; abstract.
 
-    Attributes:
-        num_beams: number of beams, B.
-        max_range: greatest range [m].
-        field_of_view: angle between the outermost beams [rad]; 2 pi for a full circle.
+    `max_range` is in metres. `field_of_view` is the angle between the outermost beams [rad], 2 pi
+    for a full circle.
     """
 
     num_beams: eqx.AbstractVar[int]

@@ -90,14 +90,9 @@ class LogLines:
         self.offsets = {"front": 0.0, "rear": 0.0}
 
     def add(self, number: int, line: bytes) -> None:
-        """Take in a line; those of other kinds are skipped.
+        """Take in the line of a number, counted from 1; lines of other kinds are skipped.
 
-        Args:
-            number: number of the line, from 1.
-            line: the line.
-
-        Raises:
-            ValueError: more scans, or more lines ODOM, than a log may have.
+        More scans, or more lines ODOM, than a log may have raise a `ValueError`.
         """
         kind = line[:40].split(None, 1)[0].upper() if line[:40].strip() else b""
         name = kind.decode("ascii", "replace")
@@ -143,11 +138,7 @@ class LogLines:
 
 
 def _reading(number: int, name: str, line: bytes) -> Reading:
-    """Return the scan of a line.
-
-    Raises:
-        BadLineError: what the line has instead.
-    """
+    """Return the scan of a line, or raise a `BadLineError` that tells what it has instead."""
     if len(line) > LONGEST_LINE:
         raise BadLineError(
             "length", f"has {len(line)} bytes; accepted: at most {LONGEST_LINE} bytes"
@@ -198,12 +189,9 @@ def _long(number: int, family: str, line: bytes) -> Reading:
 
 
 def _split_line(line: bytes, at: int, spare: int = 20) -> tuple[list[bytes], int]:
-    """Return the words of a line, and the number of beams, which is one of them.
+    """Return the words of a line, and the number of beams, which is the word at index `at`.
 
-    Args:
-        line: the line.
-        at: index of the word with the number.
-        spare: number of words beside the ranges from which on the rest is one word.
+    The line is split at most `beams + at + spare` times, and the rest is one word.
     """
     head = line.split(None, at + 1)
     beams = _whole(head[at]) if len(head) > at else 0
@@ -253,12 +241,7 @@ def _finite(words: Sequence[bytes]) -> Floats:
 
 
 def _ranges(words: Sequence[bytes], greatest: float) -> Floats:
-    """Return readings; those that met nothing are at least `NO_ECHO`.
-
-    Args:
-        words: the words.
-        greatest: greatest reading of the lidar [m]; it met nothing from there on.
-    """
+    """Return readings; those that met nothing, from `greatest` [m] on, are at least `NO_ECHO`."""
     values = _values(words)
     for index in np.flatnonzero(~np.isfinite(values)).tolist():
         # What was converted from ROS has infinite readings where a beam met nothing.

@@ -51,14 +51,11 @@ class BeamModel(NamedTuple):
     ) -> Float[Array, " B"]:
         """Return the log-density of each range if the world is as the map says.
 
-        Args:
-            ranges: measured ranges [m].
-            is_return: mask of the beams that returned.
-            expected: distance to the first cell that is not free on the map [m]; infinite if none.
-            is_wall: whether that cell is occupied. One that is unknown, and all behind it, may hold
-                anything: the density is that of what explains the range best, from a surface at
-                the begin of the cell to nothing at all. So a change in front of it is never
-                claimed for what the cell holds.
+        `expected` is the distance to the first cell that is not free on the map [m], infinite if
+        there is none. `is_wall` tells whether that cell is occupied. One that is unknown, and all
+        behind it, may hold anything: the density is that of what explains the range best, from a
+        surface at the begin of the cell to nothing at all. So a change in front of it is never
+        claimed for what the cell holds.
         """
         is_met = expected < self.max_range
         mean = jnp.where(is_met, expected, 0.0)
@@ -76,10 +73,7 @@ class BeamModel(NamedTuple):
     ) -> Float[Array, "B N"]:
         """Return the log-density of each range, of a beam that ends somewhere in each cell.
 
-        Args:
-            ranges: measured ranges [m].
-            entry: distance at which each cell is entered [m], where the one before is left.
-            exit_: distance at which it is left [m].
+        A beam enters a cell at `entry` [m], where it leaves the one before, and leaves at `exit_`.
         """
         # A cell is entered where the one before is left, so each edge is evaluated once.
         edges = jnp.concatenate([entry[:, :1], exit_], axis=1)
@@ -103,12 +97,8 @@ class BeamModel(NamedTuple):
     ) -> Float[Array, " B"]:
         """Return the log-density of each range if the expected wall is gone.
 
-        The beam then returns from somewhere behind it or not at all, with equal shares.
-
-        Args:
-            ranges: measured ranges [m].
-            is_return: mask of the beams that returned.
-            expected: distance to the wall on the map [m].
+        The beam then returns from somewhere behind it or not at all, with equal shares. On the map
+        the wall is at the distance `expected` [m].
         """
         share = 0.5 * (1.0 - self.outliers)
         density = share * self._beyond(ranges, expected) + self.stray
@@ -146,18 +136,9 @@ def beam_evidence(
 ) -> Evidence:
     """Return the log-likelihood ratios of changes against a known map.
 
-    The ratio of a cell is that of the range's density with the change to its density without.
-    A beam that ended at a moving obstacle, before the greatest range and without a return, is
-    evidence of a person alone.
-
-    Args:
-        model: density of a range.
-        cells: cells of each beam, nearest first.
-        is_free: mask of the cells that are free on the map.
-        is_occupied: mask of the cells that are occupied on the map.
-        ranges: measured ranges [m].
-        is_return: mask of the beams that returned.
-        resolution: side of a cell [m].
+    The ratio of a cell is that of the range's density with the change to its density without. A
+    beam that ended at a moving obstacle, before the greatest range and without a return, is
+    evidence of a person alone. The cells of each beam are in order, nearest first.
     """
     entry, exit_ = cells.entry * resolution, cells.exit * resolution
     blocks = cells.is_crossed & ~is_free

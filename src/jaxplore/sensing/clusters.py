@@ -43,15 +43,10 @@ def cluster_points(
     *,
     is_circle: bool,
 ) -> Clusters:
-    """Join neighbouring points of a scan whose distance is at most `gap`.
+    """Join neighbouring points of a scan whose distance is at most `gap` [m].
 
-    Args:
-        points: (B, 2) ends of the beams [m].
-        ranges: (B,) their ranges [m].
-        is_point: (B,) beams whose ends count.
-        gap: greatest distance of neighbouring points of a cluster [m].
-        number: greatest number of clusters, K; static.
-        is_circle: whether the first beam is beside the last; static.
+    Beams outside `is_point` do not count. `number` is the greatest number of clusters, K.
+    `is_circle` tells whether the first beam is beside the last. Both are static.
     """
     size = points.shape[0]
     index = jnp.arange(size, dtype=jnp.int32)
@@ -88,13 +83,10 @@ def cluster_points(
 def has_neighbour(
     points: Float[Array, "P 2"], is_point: Bool[Array, " P"], gap: Scalar
 ) -> Bool[Array, " P"]:
-    """Check which points (P,) of a circle have a neighbour: the one before or after, if it is at
-    most `gap` and a fortieth of the circle away.
+    """Check which points (P,) of a circle have a neighbour.
 
-    Args:
-        points: (P, 2) points in the order of their directions [m].
-        is_point: (P,) points that count.
-        gap: greatest distance of neighbours [m].
+    That is the point before or after, if it is at most `gap` [m] and a fortieth of the circle away.
+    The points are in the order of their directions; those outside `is_point` do not count.
     """
     size = points.shape[0]
     former = _find_former(is_point)
@@ -130,9 +122,7 @@ def _is_behind(
 class Edges(NamedTuple):
     """Edges of things behind which the robot does not see, the nearest first.
 
-    Args:
-        position: (E, 2) their positions [m].
-        is_there: (E,) which of them there are.
+    `is_there` tells which of the E positions [m] are edges.
     """
 
     position: Float[Array, "E 2"]
@@ -153,18 +143,14 @@ def hiding_edges(
     *,
     is_circle: bool,
 ) -> Edges:
-    """Find where the range jumps by more than the width of what may be hidden.
+    """Find where the range jumps by more than the width of what may be hidden [m].
 
     The nearer one of two such neighbours is on the edge of something that hides what is behind it,
     and the farther one tells that there is room.
 
-    Args:
-        points: (B, 2) ends of the beams [m].
-        ranges: (B,) their ranges [m]; the greatest one where nothing was met.
-        is_edge: (B,) ends that can be such an edge: those at something that does not move.
-        width: width of what may be hidden [m].
-        number: greatest number of edges, E; static.
-        is_circle: whether the first beam is beside the last; static.
+    A beam that met nothing has the greatest range [m]. `is_edge` masks the ends that can be such an
+    edge: those at something that does not move. `number` is the greatest number of edges, E.
+    `is_circle` tells whether the first beam is beside the last. Both are static.
     """
     is_valid = ranges > 0.0
 

@@ -160,11 +160,7 @@ class Detector(eqx.Module):
 
 
 def checked_classes(classes: object) -> tuple[str, ...]:
-    """Return the names of classes, at least two different ones, as a tuple.
-
-    Raises:
-        ValueError: something else.
-    """
+    """Return the names of classes as a tuple; refuse fewer than two, and equal ones."""
     accepted = "a list of at least two different names"
     if not isinstance(classes, (list, tuple)) or not all(isinstance(each, str) for each in classes):
         raise ValueError(f"classes is {_kinds.described(classes)}; accepted: {accepted}")
@@ -176,13 +172,8 @@ def checked_classes(classes: object) -> tuple[str, ...]:
 def checked_distributions(name: str, value: object, shape: tuple[int, ...]) -> Array:
     """Return `value` as a float32 array whose rows are probabilities that sum to 1.
 
-    Args:
-        name: name of the argument.
-        value: its value, numbers of the shape; a traced value passes.
-        shape: the shape.
-
-    Raises:
-        ValueError: another shape, a value outside [0, 1], a row with another sum.
+    A traced value is not checked. Another shape, a value outside [0, 1] or a row with another sum
+    raises a `ValueError`.
     """
     if _kinds.is_traced(value):
         return jnp.asarray(value, jnp.float32)

@@ -21,11 +21,9 @@ def fan(
 ) -> RayCells:
     """Return the cells that rays cross, nearest first: `RayCells` with a leading axis B.
 
-    Args:
-        grid: occupancy grid that is traversed; its probabilities are not read.
-        position: start (x, y) of the rays in the world, or (B, 2) that of each [m].
-        angles: directions (B,) in the grid's frame [rad].
-        max_range: length of the rays [m]; static. All cells entered within it are returned.
+    Rays start at a position (x, y) in the world, or each at its own (B, 2) [m]. Angles are in the
+    grid's frame [rad]. All cells entered within `max_range` [m] (static) are returned. The
+    probabilities of the grid are not read.
     """
     start = grid.frame.to_grid(position)
     length = max_range / grid.resolution
@@ -39,11 +37,8 @@ def first_entry(
 ) -> Float[Array, "*B"]:
     """Return the distance at which each ray enters its first wanted cell, or infinity.
 
-    Args:
-        cells: cells of each ray, nearest first.
-        is_wanted: mask (..., N) of the wanted cells.
-        unit: length of a cell's side in the unit of the result: 1 for cells, the resolution for
-            metres.
+    The cells of a ray are in order, nearest first. `unit` is the length of a cell's side in the
+    unit of the result: 1 for cells, the resolution for metres.
     """
     return jnp.where(is_wanted, cells.entry * unit, jnp.inf).min(axis=-1)
 
@@ -61,11 +56,8 @@ def disc_distance(
     The result is 0 inside a disc, and infinite if the ray meets no disc. A disc with a radius <= 0
     or with a value that is not finite is ignored.
 
-    Args:
-        position: start (x, y) of the rays, or (B, 2) that of each [m].
-        angles: directions (B,) of the rays [rad].
-        discs: discs (M, 3) as (x, y, radius) [m], or (M, B, 3) where each ray meets them; M may be
-            0.
+    Rays start at a position (x, y), or each at its own (B, 2) [m]. Discs (M, 3) are (x, y, radius)
+    [m], or (M, B, 3) where each ray meets them; M may be 0.
     """
     if discs.ndim == 2:
         discs = discs[:, None]
@@ -91,10 +83,6 @@ def checked_range(name: str, value: float) -> float:
 
 
 def checked_view(name: str, value: float) -> float:
-    """Check a horizontal field of view, in (0, 2 pi] [rad], and return it.
-
-    Raises:
-        ValueError: another value.
-    """
+    """Return a horizontal field of view [rad]; refuse one outside (0, 2 pi]."""
     # 2 pi rounded to float32 is slightly greater than 2 pi.
     return _checks.number(name, value, above=0.0, at_most=2.0 * math.pi + 1e-6)

@@ -90,14 +90,10 @@ class LidarErrors(eqx.Module):
 def floor_distance(angles: Any, height: Any, pitch: Any, roll: Any) -> Any:
     """Return the distance (B,) at which the beams of a tilted lidar meet a level floor [m].
 
-    With the angle a of a beam, it falls by sin(pitch) cos(a) - cos(pitch) sin(roll) sin(a) per
-    metre. Beams that do not fall never meet it. In NumPy or JAX, like the angles.
-
-    Args:
-        angles: (B,) directions of the beams relative to the heading [rad].
-        height: height of the lidar above the floor [m].
-        pitch: tilt forwards downwards [rad].
-        roll: tilt to the right downwards [rad].
+    With the angle a of a beam from the heading, it falls by sin(pitch) cos(a) - cos(pitch)
+    sin(roll) sin(a) per metre. Beams that do not fall never meet it. `height` is that of the lidar
+    above the floor [m]. A positive pitch tilts the front down, a positive roll the right side
+    [rad]. In NumPy or JAX, like the angles.
     """
     xp: Any = jnp if isinstance(angles, jax.Array) else np
     # The right is at negative angles.

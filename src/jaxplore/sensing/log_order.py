@@ -118,12 +118,7 @@ def _longest_order(times: Sequence[float]) -> set[int]:
 
 
 def is_mounted(poses: Floats, odometry: Floats) -> bool:
-    """Check whether a lidar at some poses is fixed to a robot at others, to within a few digits.
-
-    Args:
-        poses: poses (N, 3) of the lidar [m, m, rad].
-        odometry: poses (N, 3) of the robot.
-    """
+    """Check whether a lidar at poses (N, 3) is fixed to a robot at others, within a few digits."""
     mount = motions_between(odometry, poses)
     apart = mount - np.median(mount, axis=0)
     apart[:, 2] = np.sin(0.5 * apart[:, 2])
@@ -137,13 +132,8 @@ def odometry_by_lines(
 
     GMapping writes a corrected log so: after each scan a line ODOM with its corrected pose, from
     which the lines up to the next scan go on by the odometry. What a scan lacks of these lines is
-    the motion between the corrected poses.
-
-    Args:
-        lines: the lines of the log.
-        kind: kind of the lines with scans.
-        readings: the scans.
-        poses: poses (N, 3) of the scans [m, m, rad].
+    the motion between the corrected poses. `kind` is that of the lines with scans, and `poses` (N,
+    3) are those of `readings`.
     """
     rows = np.frombuffer(lines.odometry).reshape(-1, 5)
     if len(rows) < 2 or len(readings) < 2:

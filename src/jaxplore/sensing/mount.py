@@ -124,11 +124,9 @@ def project_scan(scan: Scan, sensor: Beams, poses: Float[Array, "B 3"]) -> Scan:
     Extraction in 2D Range Images for Mobile Robotics, 2004). A notch of one or two beams in the
     outline, such as a missing or a false return, hides nothing behind it.
 
-    Args:
-        scan: ranges (B,) of the lidar.
-        sensor: its beams, those around the centre as well.
-        poses: (B, 3) pose from which each beam was measured, in the frame of the robot at the time
-            of the scan [m, m, rad].
+    `sensor` has the beams of the lidar; those around the centre are the same. Each beam was
+    measured from its pose in `poses`, in the frame of the robot at the time of the scan
+    [m, m, rad].
     """
     number, spacing = sensor.num_beams, sensor.beam_spacing
     closed = _close_notches(scan.ranges)

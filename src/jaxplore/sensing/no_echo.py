@@ -31,16 +31,8 @@ class NoEcho:
     A reading of 0 may also be too near, or of glass: only where a lidar reports nothing else for
     open space is it taken for that.
 
-    Args:
-        rule: the rule.
-        margin: distance below the greatest range from which on a reading met nothing [m], such as
-            the side of a cell of the map.
-
-    Attributes:
-        news: what was found from the readings since this was read last; empty without any.
-
-    Raises:
-        ValueError: another rule.
+    The margin is a distance [m], such as the side of a cell of the map. `news` tells what was found
+    from the readings since it was read last; empty without any.
     """
 
     def __init__(self, rule: str = "auto", margin: float = 0.0) -> None:
@@ -52,11 +44,9 @@ class NoEcho:
         self._scans, self._readings, self._nothing, self._is_other = 0, 0, 0, False
 
     def with_infinite(self, ranges: np.ndarray, range_max: float) -> np.ndarray:
-        """Return readings (R,) in which those that met nothing are infinite.
+        """Return readings (R,) [m] in which those that met nothing are infinite.
 
-        Args:
-            ranges: (R,) readings [m].
-            range_max: greatest valid reading [m]; infinite if there is none.
+        `range_max` is the greatest valid reading [m], infinite if there is none.
         """
         if self._rule == "inf":
             return ranges

@@ -21,11 +21,7 @@ class Sweep(NamedTuple):
     rate: float
 
     def times(self, angles: np.ndarray) -> np.ndarray:
-        """Return the times (N,) after that of the first reading [s].
-
-        Args:
-            angles: (N,) directions in the frame of the robot [rad].
-        """
+        """Return the times of directions in the robot's frame, after the first reading [s]."""
         # A first reading that rounding puts before the beginning is not the last one.
         turned = math.copysign(1.0, self.rate) * (angles - self.begin) + 1e-6
         return np.asarray(np.mod(turned, math.tau) / abs(self.rate))
@@ -34,10 +30,8 @@ class Sweep(NamedTuple):
 def undistort_points(points: np.ndarray, times: np.ndarray, twist: np.ndarray) -> np.ndarray:
     """Return points (N, 2) in the frame of the robot at the time of the first reading [m].
 
-    Args:
-        points: (N, 2) points, each in the frame of the robot at its own time [m].
-        times: (N,) these times after the first reading [s].
-        twist: (3,) velocity (vx, vy, omega) in the frame of the robot [m/s, m/s, rad/s].
+    Each point is given in the frame of the robot at its own time. `times` are those after the first
+    reading [s]. The twist is (vx, vy, omega) in the frame of the robot.
     """
     turn = twist[2] * times
     # The direction of motion is that in the middle of the time, as everywhere else.
@@ -55,14 +49,8 @@ def undistort_scan(
     """Return a scan as one from the pose of the lidar at the time of the first reading.
 
     Each end goes to the beam whose direction is nearest by then. Of several the nearest one counts,
-    and a beam without any is no measurement.
-
-    Args:
-        scan: the scan.
-        sensor: its sensor.
-        sweep: when its directions are measured.
-        twist: (3,) velocity (vx, vy, omega) of the robot in its frame.
-        place: (2,) position of the lidar in the frame of the robot [m].
+    and a beam without any is no measurement. The twist (vx, vy, omega) of the robot and the
+    position `place` of the lidar [m] are in the frame of the robot.
     """
     ranges, is_return = np.asarray(scan.ranges, np.float64), np.asarray(scan.is_return)
     angles = sensor.beam_angles.astype(np.float64)

@@ -176,18 +176,15 @@ def ray_ends(sensors: Sequence[VolumeSensor]) -> np.ndarray:
 
 
 def greatest_extent(sensors: Sequence[VolumeSensor]) -> float:
-    """Return a bound of the extent along any axis of what sensors on one body see, whichever way
-    it is turned [m].
+    """Return a bound of the extent along any axis of what sensors on one body see [m].
 
-    All rays lie in a cone around their mean. With the length L and the half-angle a < 90 degrees,
-    its extent along an axis at the angle b from its own is at most
+    It holds whichever way the body is turned. All rays lie in a cone around their mean. With the
+    length L and the half-angle a < 90 degrees, its extent along an axis at the angle b from its own
+    is at most
 
         L max(1, cos(b - a) - cos(b + a)) = L max(1, 2 sin a sin b)
 
     and 2 L for wider ones.
-
-    Args:
-        sensors: the sensors.
     """
     ways = np.concatenate([each.directions for each in sensors], axis=1).astype(np.float64)
     length = max(each.max_range for each in sensors)

@@ -34,12 +34,10 @@ Keys = KeyArray[Array, "..."]
 
 
 class RunBatch(NamedTuple):
-    """Loop states of a batch of runs.
+    """Loop states of a batch of runs, with a leading axis of runs; each counts its own steps.
 
-    Args:
-        states: states of the loops, with a leading axis of runs; each counts its own steps.
-        clock: number of steps of the unfinished runs. It is one number for all runs, so that a
-            batch senses and derives fields only as often as a single run.
+    `clock` is the number of steps of the unfinished runs. It is one number for all runs, so that a
+    batch senses and derives fields only as often as a single run.
     """
 
     states: LoopState
@@ -90,18 +88,10 @@ def record_experiments(
 ) -> tuple[tuple[Recording, ...], LeafMask]:
     """Simulate a batch of runs that differ in keys and in parameters of controllers and scenarios.
 
-    See `record_runs`. Values that all runs share, maps and noise of the same key, are computed
-    once.
-
-    Args:
-        experiments: at least one experiment; their own numbers of steps are ignored.
-        num_steps: greatest number of control periods.
-        with_frames: whether to keep frames of the runs.
-        differs: arrays to treat as different even if they are equal here, as returned by a former
-            call, so that both calls share a compiled program.
-
-    Returns:
-        The recordings, and which arrays differed.
+    See `record_runs`. Values that all runs share, such as maps and noise of the same key, are
+    computed once. The experiments' own numbers of steps are ignored. The result is the recordings,
+    and a mask of the arrays that differed. A later call that is given the mask as `differs` treats
+    these arrays as different even if they are equal there, so both calls share a compiled program.
 
     Raises:
         ValueError: fewer than one step; no experiments, or some that differ in more than numbers.

@@ -27,13 +27,9 @@ _ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 class Checkpoint:
     """What `simulate` needs to continue a run.
 
-    Args:
-        loop: the part that is done, and the state at its end. Of a run that was loaded, the state
-            is a tuple of the leaves of a `LoopState`, in NumPy.
-        key: data of the random key of the run.
-        controller: digest of the controller.
-        scenario: digest of the scenario.
-        datum: that of the scenario (2,) [m].
+    `loop` is the part that is done, and the state at its end. Of a run that was loaded, the state
+    is a tuple of the leaves of a `LoopState`, in NumPy. `key` is the data of the random key of the
+    run. `controller` and `scenario` are digests. `datum` (2,) is that of the scenario [m].
     """
 
     loop: ChunkedRun[Any, Any, Frame]
@@ -58,12 +54,7 @@ class Checkpoint:
     def from_arrays(
         cls, recording: Recording, arrays: Mapping[str, np.ndarray]
     ) -> "Checkpoint | None":
-        """Return the checkpoint of a run that was saved; None if it was saved without one.
-
-        Args:
-            recording: the run.
-            arrays: what `arrays` returned.
-        """
+        """Return the checkpoint of a saved run from its `arrays`; None if saved without one."""
         if f"{_LOOP}key" not in arrays:
             return None
         number = sum(name.startswith(_STATE) for name in arrays)
@@ -99,14 +90,10 @@ class Checkpoint:
         }
 
     def state(self, scenario: Scenario, initial: LoopState) -> LoopState:
-        """Return the state to continue from.
-
-        Args:
-            scenario: the task.
-            initial: state before the first step, of the same shapes.
+        """Return the state to continue from; a loaded one gets the structure of `initial`.
 
         Raises:
-            ValueError: a state of other shapes; a run that is finished.
+            ValueError: a state of other shapes than `initial`; a run that is finished.
         """
         state = self.loop.state
         if not isinstance(state, LoopState):

@@ -40,17 +40,9 @@ def loop[S, R](
     """Step up to `num_steps` times, fewer if the task is finished; a scan of traced length.
 
     The same compiled program runs a whole chunk or a single step that is timed, and it stops as
-    soon as the task is finished.
-
-    Args:
-        step: function from a state to the next state and the step's record.
-        is_unfinished: function that says whether to continue from a state.
-        state: state to continue from.
-        blank: buffer of records, with a leading axis of at least `num_steps` steps.
-        num_steps: greatest number of steps.
-
-    Returns:
-        The state, the records and the number of filled records.
+    soon as the task is finished. `step` returns the next state and the step's record. `blank` is a
+    buffer of at least `num_steps` records. The result is the state, the records and the number of
+    records that are filled.
     """
 
     def unfinished(carry: tuple[S, R, Array]) -> Array:
@@ -106,14 +98,10 @@ class ChunkedRun[S, R, F]:
 
 @dataclasses.dataclass(frozen=True)
 class Chunk[S, R]:
-    """A chunk that was run.
+    """A chunk that was run: the state after it, and its records in NumPy.
 
-    Args:
-        state: state of the loop after it.
-        records: its records, in NumPy.
-        total: number of steps of the run that are done.
-        seconds: wall-clock time since the first step [s].
-        is_stop_requested: function that says whether Ctrl-C was pressed.
+    `total` is the number of steps of the run that are done, `seconds` the wall-clock time since the
+    first one [s]. `is_stop_requested` says whether Ctrl-C was pressed.
     """
 
     state: S
@@ -124,10 +112,9 @@ class Chunk[S, R]:
 
 
 def are_too_many(frames: Sequence[Any]) -> bool:
-    """Return whether every second frame is to be dropped.
+    """Return whether every second frame of a run is to be dropped.
 
-    Args:
-        frames: frames of a run, of equal size, or tuples of them in a batch of runs.
+    The frames have one size. In a batch of runs, each is a tuple of frames.
     """
     if len(frames) <= 2:
         return False
@@ -140,10 +127,8 @@ def are_too_many(frames: Sequence[Any]) -> bool:
 class _Frames[S, F]:
     """Frames at regular steps, and one at the end.
 
-    Args:
-        make: function that makes a frame of a state after a number of steps.
-        interval: number of steps between frames. It doubles when there are too many frames.
-        former: the part of the run that is done; None without one.
+    `make` makes a frame of a state after a number of steps. `interval` is the number of steps
+    between frames; it doubles when there are too many. `former` is the part that is done, if any.
     """
 
     def __init__(
@@ -175,8 +160,7 @@ class _Frames[S, F]:
             self.frames, self.interval = self.frames[::2], self.interval * 2
 
     def until_end(self, state: S, total: int) -> tuple[F, ...]:
-        """Return all frames. A run may end between two regular ones, and the last must show the
-        end."""
+        """Return all frames, and one of the end if the run ends between two regular ones."""
         at_end = () if self._shown == total else (self._make(state, total),)
         return (*self.frames, *at_end)
 
@@ -232,25 +216,16 @@ def run_in_chunks[S, R, F](
 ) -> ChunkedRun[S, R, F]:
     """Run a loop chunk by chunk until the task is finished or the steps are done.
 
-    Ctrl-C ends it after the current chunk, a second one at once.
+    Ctrl-C ends it after the current chunk, a second one at once. `on_chunk` is called after each
+    chunk. It returns the greatest number of steps of the next one, or 0 to end the run, as Ctrl-C
+    does. A chunk also ends with each frame. `interval` is the number of steps between frames at the
+    start; it doubles when there are too many frames.
 
-    Args:
-        run: the compiled loop, which runs up to a number of steps from a state.
-        is_unfinished: function that says whether to continue from a state.
-        frame: function that makes a frame of a state after a number of steps.
-        state: state to begin with.
-        began: `time.perf_counter()` at the beginning of the preparations [s].
-        limit: greatest number of steps, those of `former` included.
-        chunk: greatest number of steps in a chunk.
-        interval: number of steps between frames at the start. It doubles when there are too many
-            frames; a chunk ends with each frame.
-        on_chunk: called after each chunk; returns the greatest number of steps of the next one, or
-            0 to end the run, as Ctrl-C does.
-        former: the part of the run that is done, which ended in `state`; None to start. The result
-            is the whole run.
-        revise: function from a state to a state, see `Scenario.revised`; none when absent.
-        revise_every: number of steps between two calls of it. They depend on nothing else, so that
-            a run is the same with every length of chunks.
+    `former` is the part of the run that is done, which ended in `state`; None to start. The result
+    is the whole run, and `limit` includes the steps of `former`. `revise` changes the state every
+    `revise_every` steps, see `Scenario.revised`. These steps depend on nothing else, so a run is
+    the same with every length of chunks. `began` is `time.perf_counter()` at the beginning of the
+    preparations [s].
     """
 
     def advance(current: S, steps: int) -> tuple[S, Any, int, float]:

@@ -13,12 +13,7 @@ from jaxplore.simulation.variation import Drawn, Variation
 
 
 class Disturbances(NamedTuple):
-    """Variation and faults between a robot and its true world; either may be absent.
-
-    Args:
-        faults: what fails, and when.
-        variation: distribution of the true robot over episodes.
-    """
+    """What fails, and the distribution of the true robot over episodes; either may be absent."""
 
     faults: Faults | None
     variation: Variation | None
@@ -40,17 +35,10 @@ class Disturbances(NamedTuple):
         period: Scalar,
         key: Key,
     ) -> tuple[StateVector, Flag, Flag]:
-        """Return the state (nx,) that is measured, whether there is no scan, and whether a fault is
-        active.
+        """Return the measured state (nx,), whether there is no scan, and whether a fault is active.
 
-        Args:
-            model: model of the robot.
-            truth: (nx,) state that its base would measure without errors.
-            last: (nx,) state that was measured before.
-            drawn: variation of the episode.
-            time: since the start [s].
-            period: control period [s].
-            key: random key of the step.
+        `truth` (nx,) is what the base would measure without errors at a time since the start [s].
+        `last` (nx,) is what was measured before. `key` is that of the step.
         """
         if self.variation is not None and drawn is not None:
             truth = self.variation.observe(model, truth, drawn, key)
@@ -62,13 +50,7 @@ class Disturbances(NamedTuple):
     def delay(
         self, pending: Float[Array, "D nu"], control: ControlVector, drawn: Drawn | None
     ) -> tuple[Float[Array, "D nu"], ControlVector]:
-        """Return the pending commands (D, nu), oldest first, and the one that takes effect.
-
-        Args:
-            pending: commands before, oldest first.
-            control: (nu,) the new command.
-            drawn: variation of the episode.
-        """
+        """Return the pending commands (D, nu), oldest first, and the one that takes effect."""
         if self.variation is not None and drawn is not None:
             return self.variation.delay(pending, control, drawn)
         if self.faults is not None:
@@ -76,14 +58,7 @@ class Disturbances(NamedTuple):
         return pending, control
 
     def true_robot(self, model: Dynamics, drawn: Drawn | None, key: Key, step: Count) -> Dynamics:
-        """Return the robot that moves in a step of an episode.
-
-        Args:
-            model: model of the robot.
-            drawn: variation of the episode.
-            key: random key of the run.
-            step: number of steps before it.
-        """
+        """Return the robot that moves in a step of an episode; `key` is that of the run."""
         if self.variation is None or drawn is None:
             return model
         return self.variation.robot(model, drawn, jax.random.fold_in(key, step))

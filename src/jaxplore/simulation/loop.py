@@ -29,13 +29,7 @@ def step_keys(key: Key, step: Count) -> tuple[Key, Key]:
 
 
 def moment_at(scenario: Scenario, state: LoopState, key: Key) -> Moment:
-    """Return the time of the next step, and the state that the controller observes.
-
-    Args:
-        scenario: the task.
-        state: state of the loop before the step.
-        key: key of the whole run.
-    """
+    """Return the next step's time and what the controller observes; `key` is that of the run."""
     period = scenario.control_period
     # Time is a multiple of the period and not a sum of periods, so rounding does not accumulate.
     time = period * state.step.astype(jnp.float32)
@@ -71,13 +65,7 @@ def _judged(scenario: Scenario, state: LoopState, moment: Moment) -> Moment:
 def initial_loop_state(
     controller: Controller, scenario: Scenario, key: Key | None = None
 ) -> LoopState:
-    """Return the state before the first step.
-
-    Args:
-        controller: controller, which makes its own state.
-        scenario: task, which makes its own state.
-        key: random key of the run; without it nothing is random at the start.
-    """
+    """Return the state before the first step; without the key of a run nothing is random there."""
     # Two programs, so that the task's part is compiled once for all controllers.
     state = _initial_task(scenario, key)
     return state._replace(controller=_initial_memory(controller))
@@ -123,13 +111,8 @@ def control_step(
 ) -> tuple[LoopState, Any]:
     """Compute the control and apply it: the part of a step after perception.
 
-    Args:
-        controller: computes the control.
-        scenario: the task.
-        state: state of the loop, with the task's state as `perceive` returned it.
-        moment: the moment that was passed to `perceive`.
-        belief: the belief that `perceive` returned.
-        key: key of the whole run.
+    `moment` was passed to `perceive`, which returned `belief` and the task's state in `state`.
+    `key` is that of the run.
     """
     _, control_key = step_keys(key, state.step)
     robot, points, time = scenario.robot, scenario.scan_points(state.task), moment.time
@@ -158,17 +141,9 @@ def run_chunk(
     """Run a number of steps, fewer if the task is finished.
 
     The memory of the state is used for the next one: with a large map, copying the map and its
-    fields would take longer than a step. The state that was given can not be used any more.
-
-    Args:
-        given: computes the controls, the task, the key of the whole run, and the greatest number of
-            steps, at most `capacity`.
-        state: state to continue from.
-        capacity: length of the buffer of records; static.
-
-    Returns:
-        The state, the records (the first axis has `capacity` entries), and the number of filled
-        records.
+    fields would take longer than a step. The state that was given can not be used any more. `given`
+    ends with the key of the run and the greatest number of steps, at most `capacity`. The result is
+    the state, the records (the first axis has `capacity` entries) and how many are filled.
     """
     controller, scenario, key, num_steps = given
     return loop(
@@ -190,15 +165,9 @@ def copied[Tree](tree: Tree) -> Tree:
 def frame_arrays(
     controller: Controller, scenario: Scenario, state: LoopState, key: Key, num_trajectories: int
 ) -> dict[str, Any]:
-    """Return the arrays of a frame, see `Scenario.frame`.
+    """Return the arrays of a frame, see `Scenario.frame`; `key` is that of the run.
 
-    Args:
-        controller: controller whose plan is shown.
-        scenario: the task.
-        state: state of the loop.
-        key: key of the whole run.
-        num_trajectories: number of rollouts in the frame; with 0 the controller is not compiled
-            again.
+    The frame has `num_trajectories` rollouts; with 0 the controller is not compiled again.
     """
     # These are the keys of the coming step, so the frame shows the scan and the plan of that step.
     measure_key, control_key = step_keys(key, state.step)

@@ -69,27 +69,21 @@ class Monitor(abc.ABC):
     def begin(self, recording: Recording, controller: Controller) -> None:
         """Take note of a run that begins.
 
-        Args:
-            recording: the run so far, with no step and one frame: the world, the robot, the goal.
-            controller: the controller, with its parameters.
+        `recording` has no step yet and one frame: the world, the robot, the goal.
         """
 
     @abc.abstractmethod
     def is_due(self, simulated: float, elapsed: float) -> bool:
         """Check whether the next update is due.
 
-        Args:
-            simulated: simulated time since the last update [s].
-            elapsed: wall-clock time since then [s].
+        Both times are since the last update [s]: simulated, and by the wall clock.
         """
 
     def longest_chunk(self, pace: float) -> float:
         """Return the longest simulated time for which the run may go on by itself [s].
 
-        Longer chunks cost less. Parameters act, and updates come, between chunks.
-
-        Args:
-            pace: simulated seconds per second at present; infinite if nobody knows.
+        Longer chunks cost less. Parameters act, and updates come, between chunks. `pace` is in
+        simulated seconds per second at present; infinite if nobody knows.
         """
         return WATCHED_SECONDS
 
@@ -107,22 +101,13 @@ class Monitor(abc.ABC):
 
     @abc.abstractmethod
     def end(self, recording: Recording | None) -> None:
-        """Take note of the end of the run.
-
-        Args:
-            recording: the whole run; None if it failed.
-        """
+        """Take note of the end of the run; `recording` is the whole run, None if it failed."""
 
 
 def begin_all(monitors: Iterable[Monitor], recording: Recording, controller: Controller) -> None:
-    """Tell monitors that a run begins.
+    """Tell monitors that a run begins, see `Monitor.begin`.
 
     If one of them fails, those that have begun are told that the run failed.
-
-    Args:
-        monitors: the monitors.
-        recording: the run so far, see `Monitor.begin`.
-        controller: the controller.
     """
     with ExitStack() as stack:
         for each in monitors:
@@ -140,15 +125,9 @@ class ParameterRequests:
     def take(
         self, controller: Controller, monitor: Monitor, requested: Mapping[str, ArrayLike]
     ) -> tuple[Controller, list[str]]:
-        """Set those that are new. The monitor is told of those that are not accepted.
+        """Set the values that are new; return the new controller, and the names of what was set.
 
-        Args:
-            controller: the controller.
-            monitor: the monitor that asks.
-            requested: values by parameter, see `Requests`.
-
-        Returns:
-            The controller with the new values, and the names of the parameters that were set.
+        The monitor is told of values that are not accepted.
         """
         changed = []
         for name, value in requested.items():
@@ -193,14 +172,9 @@ class _Shown:
 class Watch[S]:
     """Shows a run to monitors, and does what they ask for.
 
-    Args:
-        monitors: the monitors.
-        controller: controller at the start.
-        adapt: function that adapts a controller to the control period of the task.
-        make_frame: function that makes a frame of a state after a number of steps, with the plan of
-            an adapted controller.
-        period: control period [s].
-        total: number of steps that were done before.
+    `adapt` adapts a controller to the control period of the task, `period` [s]. `make_frame` makes
+    a frame of a state after a number of steps, with the plan of an adapted controller. `total`
+    steps were done before.
     """
 
     def __init__(
@@ -236,12 +210,8 @@ class Watch[S]:
     def after_chunk(self, chunk: Chunk[S, Any], text: str) -> int:
         """Show a chunk, wait as the monitors ask for, and return the length of the next one.
 
-        Args:
-            chunk: the chunk that was run.
-            text: progress of the task in words.
-
-        Returns:
-            Greatest number of steps of the next chunk; 0 if the run shall stop.
+        `text` is the progress of the task in words. The length is a greatest number of steps; with
+        0 the run shall stop.
         """
         steps, seconds = chunk.total - self._began[0], time.monotonic() - self._began[1]
         pace = steps * self._period / seconds if seconds > 0.0 else math.inf

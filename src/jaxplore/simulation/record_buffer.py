@@ -15,15 +15,12 @@ MEMORY_LIMIT = 2**22
 class RecordBuffer:
     """Rows of a pytree of arrays, which are appended chunk by chunk.
 
-    Up to a limit the rows are in memory. Beyond it they are appended to files, one for each array
-    of the pytree, and the memory that they take does not grow any more. The files have no name:
-    the operating system removes them when nobody reads them any more, and also after a crash. They
-    are in Python's temporary folder, which the environment variable `TMPDIR` sets. If a file cannot
-    be written, because the disk is full, the rows from there on stay in memory.
-
-    Args:
-        blank: rows (0, ...) of the pytree: its structure, shapes and types.
-        limit: size of the rows above which they are written to files [bytes].
+    Up to `limit` bytes the rows are in memory. Beyond it they are appended to files, one for each
+    array of the pytree, and the memory that they take does not grow any more. The files have no
+    name: the operating system removes them when nobody reads them any more, and also after a crash.
+    They are in Python's temporary folder, which the environment variable `TMPDIR` sets. If a file
+    cannot be written, because the disk is full, the rows from there on stay in memory. `blank` has
+    no rows (0, ...), and their structure, shapes and types.
     """
 
     def __init__(self, blank: Any, limit: int = MEMORY_LIMIT) -> None:
@@ -56,12 +53,7 @@ def _row_size(leaf: np.ndarray) -> int:
 
 
 class _Column:
-    """Rows of one array.
-
-    Args:
-        like: array of the shape (..., *row) and of the type of the rows.
-        most: greatest number of rows in memory.
-    """
+    """Rows of one array, with the row shape and type of `like`; at most `most` are in memory."""
 
     def __init__(self, like: np.ndarray, most: int) -> None:
         self._kept = np.empty((0, *like.shape[1:]), like.dtype)

@@ -10,12 +10,7 @@ from jaxplore.geometry.footprint import Footprint, Rectangle
 
 
 def robot_fields(robot: Dynamics, start: StateVector) -> dict[str, Any]:
-    """Return the fields of a robot that the recordings of all tasks with one share.
-
-    Args:
-        robot: model of the robot.
-        start: (nx,) state at the start.
-    """
+    """Return the fields of a robot that the recordings of all tasks with one share."""
     return {
         "start": np.asarray(start),
         "state_names": robot.state_names,

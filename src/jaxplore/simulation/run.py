@@ -49,12 +49,9 @@ if TYPE_CHECKING:
 class RunProgress(NamedTuple):
     """Progress of a run.
 
-    Args:
-        time: simulated time [s].
-        time_limit: simulated time at which it ends [s].
-        share: share of the task that is done, from 0 to 1.
-        text: progress of the task in words.
-        seconds: wall-clock time since the loop was compiled [s].
+    `time` is simulated, and the run ends at `time_limit` at the latest [s]. `share` of the task is
+    done, from 0 to 1; `text` says it in words. `seconds` is the wall-clock time since the loop was
+    compiled [s].
     """
 
     time: float
@@ -308,20 +305,7 @@ def record_run(
     on_progress: Callable[[RunProgress], None] = lambda _: None,
     num_trajectories: int = NUM_TRAJECTORIES,
 ) -> Recording:
-    """Simulate like `simulate`, and return the recording alone.
-
-    Args:
-        controller: computes the controls.
-        scenario: the task.
-        num_steps: greatest number of control periods.
-        key: random key; the same key gives the same run.
-        on_progress: called after each chunk.
-        num_trajectories: rollouts in each frame.
-
-    Raises:
-        ValueError: fewer than one step, or fewer than 0 rollouts; something else than a controller,
-            a scenario or a key.
-    """
+    """Simulate like `simulate`, call `on_progress` after each chunk, and return the recording."""
     return _closed_loop(controller, scenario, num_steps, key, on_progress, num_trajectories)[0]
 
 
@@ -335,8 +319,7 @@ def _closed_loop(
     former: Checkpoint | None = None,
     monitors: Sequence[Monitor] = (),
 ) -> tuple[Recording, ChunkedRun[LoopState, Any, Frame], Watch[LoopState]]:
-    """Simulate; return the recording, what the loop returned, and the watch with the controller at
-    the end."""
+    """Simulate; return the recording, the loop's result, and the watch with the last controller."""
     order = "in the order simulate(controller, scenario, num_steps)"
     _kinds.instance("controller", controller, Controller, hint=order)
     _kinds.instance("scenario", scenario, Scenario, hint=order)

@@ -362,11 +362,7 @@ def blank_recording(
 ) -> Recording:
     """Make the recording of a run without a step: its world, its robot and one frame.
 
-    Args:
-        scenario: the task.
-        controller: controller of the run; None if an agent chooses the actions.
-        state: state of the loop.
-        frame: frame of that state.
+    `controller` is None if an agent chooses the actions.
     """
     blank = jax.tree.map(
         lambda leaf: np.zeros((0, *leaf.shape[1:]), leaf.dtype),

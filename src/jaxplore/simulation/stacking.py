@@ -18,13 +18,9 @@ type LeafMask = tuple[bool, ...]
 class Stacked(eqx.Module):
     """Several pytrees of one structure; arrays that are equal in all of them are stored once.
 
-    So costs with different weights share one map.
-
-    Args:
-        arrays: leaves, with a leading axis where `differs`.
-        differs: whether each leaf differs; static.
-        structure: structure of a pytree of the array leaves; static.
-        rest: leaves that are not arrays, the same in all pytrees.
+    So costs with different weights share one map. `arrays` are the leaves, with a leading axis
+    where `differs`. `structure` is that of a pytree of the array leaves. `rest` are the leaves that
+    are not arrays, the same in all pytrees.
     """
 
     arrays: tuple[Array, ...]
@@ -36,13 +32,10 @@ class Stacked(eqx.Module):
     def from_trees(
         cls, trees: Sequence[Any], differs: LeafMask | None = None, *, name: str = "members"
     ) -> "Stacked":
-        """Stack pytrees.
+        """Stack pytrees of one structure, at least one.
 
-        Args:
-            trees: pytrees of one structure, at least one.
-            differs: leaves to stack even if they are equal here, so that several calls share a
-                compiled program.
-            name: name of the argument, for the error message.
+        Leaves that `differs` marks are stacked even if they are equal here, so that several calls
+        share a compiled program. `name` is that of the argument, for the error message.
 
         Raises:
             ValueError: pytrees that differ in more than the values of their arrays.

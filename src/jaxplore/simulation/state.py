@@ -39,16 +39,12 @@ class Moment(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """State of the closed loop.
+    """State of the closed loop, with the number of steps done.
 
-    Args:
-        task: state of the task, see `Scenario`.
-        controller: state of the controller.
-        step: number of steps done.
-        observed: (nx,) state that the controller observed last.
-        pending: (D, nu) commands that have not taken effect yet, oldest first.
-        drawn: variation of the episode; None if the robot does not vary.
-        guard: state of the guard; None without one.
+    `task` is the state of the task, see `Scenario`. `observed` (nx,) is the state that the
+    controller observed last. `pending` (D, nu) are the commands that have not taken effect yet,
+    oldest first. `drawn` is the variation of the episode; None if the robot does not vary. `guard`
+    is the state of the guard; None without one.
     """
 
     task: Any

@@ -13,12 +13,9 @@ from jaxplore.study.workers.task import Files, Read, Task
 
 @dataclasses.dataclass(frozen=True)
 class InputFile:
-    """A map or path file that the settings of an episode name.
+    """A map or path file on the user's machine, of the setting "map" or "path" of an episode.
 
-    Args:
-        setting: "map" or "path".
-        path: path of the file on the user's machine.
-        content: hash of its content, with that of a map's image.
+    `content` is a hash of its content, with that of a map's image.
     """
 
     setting: str
@@ -40,12 +37,8 @@ class InputFile:
 class EpisodeTask(Task, abc.ABC):
     """Episodes of one scenario that run together.
 
-    Args:
-        name: name of the task.
-        variant: name of the variant: an architecture or any other settings.
-        scenario: name of the scenario.
-        file: map or path file of the scenario; None without one.
-        copy: path of a copy of the file on this machine; None without a copy.
+    A variant is an architecture or any other settings. `file` is the map or path file of the
+    scenario, and `copy` the path of a copy of it on this machine; None without one.
     """
 
     name: str
@@ -88,11 +81,7 @@ class EpisodeTask(Task, abc.ABC):
         return {self.file.setting: self.copy or self.file.path}
 
     def run(self) -> Any:
-        """Run the episodes and return their results, or failed results after an error.
-
-        Raises:
-            KeyboardInterrupt: the user stopped it.
-        """
+        """Run the episodes and return their results, or failed results after an error."""
         try:
             return self.measure()
         except Exception as error:
@@ -100,12 +89,7 @@ class EpisodeTask(Task, abc.ABC):
 
     @abc.abstractmethod
     def measure(self) -> Any:
-        """Run the episodes and return their results.
-
-        Raises:
-            Exception: any; it becomes the reason of `failed`.
-            KeyboardInterrupt: the user stopped it.
-        """
+        """Run the episodes and return their results; an exception is the reason of `failed`."""
 
     def _with_user_path(self, reason: str) -> str:
         """Replace the path of the copy in an error message by that of the user's file."""

@@ -12,16 +12,9 @@ from jaxplore.simulation.stacking import LeafMask
 def record_alone(
     experiment: Experiment, time_limit: float | None = None, *, num_trajectories: int = 0
 ) -> Recording:
-    """Run one experiment.
+    """Run one experiment until a limit of the simulated time [s], at most its own number of steps.
 
-    Args:
-        experiment: controller, scenario, number of steps and key.
-        time_limit: limit of the simulated time [s]; the experiment's own number of steps when
-            absent.
-        num_trajectories: rollouts in each frame, for animations.
-
-    Raises:
-        KeyboardInterrupt: the user stopped it.
+    Each frame holds `num_trajectories` rollouts, for animations.
     """
     steps = _num_steps(experiment, time_limit)
     recording = record_run(
@@ -38,11 +31,8 @@ class SideBySide:
     """Runner of batches of experiments by `jax.vmap`, with a fixed batch size.
 
     It remembers which arrays have differed between the experiments of a kind and stacks them in all
-    later batches, so that these run the same compiled program.
-
-    Args:
-        size: number of experiments in a batch. A smaller batch is filled up with copies of its last
-            experiment: another size would need another program, with other rounding.
+    later batches, so that these run the same compiled program. A smaller batch is filled up with
+    copies of its last experiment: another size would need another program, with other rounding.
     """
 
     def __init__(self, size: int) -> None:
@@ -57,18 +47,13 @@ class SideBySide:
         *,
         with_frames: bool = False,
     ) -> list[Recording]:
-        """Run experiments that differ in keys and in the values of arrays only.
+        """Run experiments, at most a batch, that differ in keys and in the values of arrays only.
 
-        Args:
-            kind: name of the group of experiments that share a compiled program, such as the
-                scenario.
-            experiments: from one to `size` experiments.
-            time_limit: limit of the simulated time [s].
-            with_frames: whether to keep frames of the runs.
+        `kind` names those that share a compiled program, such as the scenario. The simulated time
+        is limited to `time_limit` [s].
 
         Raises:
             ValueError: experiments that differ in structure or sizes.
-            KeyboardInterrupt: the user stopped them.
         """
         padded = [*experiments, *[experiments[-1]] * (self._size - len(experiments))]
         steps = max(_num_steps(each, time_limit) for each in padded)

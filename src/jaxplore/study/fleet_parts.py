@@ -26,11 +26,7 @@ from jaxplore.study.workers.task import Task
 
 
 class _Hub:
-    """Ray actor at which the workers meet: it hands the message of each one to all of them.
-
-    Args:
-        number: number of workers.
-    """
+    """Ray actor at which the workers meet: it hands the message of each one to all of them."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -41,10 +37,7 @@ class _Hub:
     async def meet(self, worker: int, turn: int, arrays: list[np.ndarray]) -> list[Any]:
         """Return the arrays of all workers, when all have come.
 
-        Args:
-            worker: number of the worker that calls.
-            turn: number of the meeting, which each worker counts.
-            arrays: its message.
+        `turn` is the number of the meeting, which each worker counts.
         """
         told = self._told.setdefault(turn, {})
         complete = self._complete.setdefault(turn, asyncio.Event())
@@ -69,13 +62,9 @@ class _Failure:
 class _Part(Task):
     """The part of a run that a worker computes.
 
-    Args:
-        number: number of the worker.
-        places: places of the robots of each worker in the fleet.
-        hub: name of the actor at which the workers meet.
-        packed: controller, scenario, and greatest number of steps, pickled.
-        key: data of the random key.
-        num_trajectories: number of rollouts in each frame.
+    `places` are those of each worker's robots in the fleet, `hub` is the name of the actor at which
+    the workers meet, and `key` the data of the random key. `packed` is pickled: the controller, the
+    scenario, and the greatest number of steps.
     """
 
     number: int

@@ -57,15 +57,12 @@ class Runner:
     def run[T: Task](self, tasks: Sequence[T], on_result: Callable[[T, Any], None]) -> None:
         """Run tasks, and return when all have a result. An exception ends all workers.
 
-        Args:
-            tasks: tasks to run, any number.
-            on_result: called in this process with each task and its result, as soon as it is
-                available.
+        `on_result` is called in this process with each task and its result, as soon as there is
+        one.
 
         Raises:
             ValueError: the runner is closed; Ray is not installed; a cluster cannot be reached.
             ChildProcessError: workers do not start.
-            KeyboardInterrupt: the user stopped it.
         """
         if self._is_closed:
             raise ValueError("runner is closed; accepted: a new one")

@@ -9,14 +9,9 @@ LAST = 2**32 - 1
 
 
 def check_number_of_seeds(name: str, seeds: Sequence[int]) -> None:
-    """Check that there are not too many seeds, without looking at each of them.
+    """Check that there are at most `MOST_SEEDS` seeds, without looking at each of them.
 
-    Args:
-        name: name of the argument.
-        seeds: the seeds.
-
-    Raises:
-        ValueError: more than `MOST_SEEDS`, or a last one beyond 32 bits.
+    The last one of a range must fit into 32 bits. The name is that of the argument.
     """
     # `len` of a range of more than 2**63 numbers is an error.
     number = seeds[-1] - seeds[0] + 1 if isinstance(seeds, range) and seeds else len(seeds)
@@ -27,10 +22,6 @@ def check_number_of_seeds(name: str, seeds: Sequence[int]) -> None:
 
 
 def check_number_of_runs(number: int) -> None:
-    """Check the number of runs of a comparison.
-
-    Raises:
-        ValueError: more than `MOST_CANDIDATES`.
-    """
+    """Check that a comparison has at most `MOST_CANDIDATES` runs."""
     if number > MOST_CANDIDATES:
         raise ValueError(f"the comparison has {number} runs; accepted: at most {MOST_CANDIDATES}")

@@ -24,19 +24,13 @@ def make_variants(
     *,
     is_trusted: bool = False,
 ) -> dict[str, dict[str, Any]]:
-    """Make the settings entries of variants from command-line options.
+    """Make the settings entries of variants from command-line options; none if nothing varies.
 
-    Every architecture is combined with every file and with every value of each varied setting.
-
-    Args:
-        architectures: values of the setting `architecture`.
-        files: YAML files of settings. A variant is named by its file without the ending.
-        varied: texts `NAME=A,B,C`: a setting, or a controller parameter by its path, with its
-            values. A variant is named by the last part of the name and the value.
-        is_trusted: whether the files may name code, MODULE:NAME.
-
-    Returns:
-        Settings entries by variant; empty if nothing varies.
+    Every architecture is combined with every file and with every value of each varied setting. A
+    variant is named by its parts: its architecture, its file without the ending, and the last part
+    of each varied name with the value. `varied` are texts `NAME=A,B,C`: a setting, or a controller
+    parameter by its path, with its values. `is_trusted` says whether the files may name code,
+    MODULE:NAME.
 
     Raises:
         ValueError: a file that cannot be read, a text that is not accepted, a repeated name.

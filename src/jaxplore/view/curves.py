@@ -18,12 +18,7 @@ HEIGHT = 190
 
 
 class Curves:
-    """The figures of a panel, one for each plot; a click on a name in the legend hides its curve.
-
-    Args:
-        server: server of the view.
-        container: element of the page that holds them.
-    """
+    """The figures of a panel; a click on a name in the legend hides its curve."""
 
     def __init__(self, server: "viser.ViserServer", container: Any) -> None:
         self._server, self._container = server, container

@@ -28,11 +28,7 @@ class Display:
     """The page of a view.
 
     The first tab of its panel tells the time and the progress; `run_tab` is the place for buttons.
-    The last tab shows and hides layers. The curves stand below all tabs.
-
-    Args:
-        server: server of the view.
-        tabs: titles of further tabs between these two.
+    The given tabs follow. The last tab shows and hides layers. The curves stand below all tabs.
     """
 
     def __init__(self, server: "viser.ViserServer", *tabs: str) -> None:
@@ -60,11 +56,7 @@ class Display:
         self._layers: list[Any] = []
 
     def begin(self, recording: Recording) -> None:
-        """Show another run.
-
-        Args:
-            recording: the run, with or without steps.
-        """
+        """Show another run, with or without steps."""
         self._curves.clear()
         self.history = History(recording)
         with self._drawing:
@@ -79,13 +71,7 @@ class Display:
         self._list_layers(self._scene)
 
     def draw(self, frame: Frame, text: str, trail: np.ndarray | None = None) -> None:
-        """Draw a frame.
-
-        Args:
-            frame: the frame.
-            text: progress in words.
-            trail: positions of the robot so far; those of the history when absent.
-        """
+        """Draw a frame and the progress in words; a trail of None is that of the history."""
         assert self._scene is not None
         assert self.history is not None
         # Pages show all of it at once.

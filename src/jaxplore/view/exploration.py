@@ -24,10 +24,6 @@ class ExplorationScene(Scene):
     """The belief, the information, the scan, and what all tasks show.
 
     It reads nothing of the true world, which a robot does not know.
-
-    Args:
-        server: server of the view.
-        recording: recording of the run, which may have no step yet.
     """
 
     layers = (

@@ -20,12 +20,7 @@ MOST_NODES = 4000
 
 
 class PathScene(Scene):
-    """The course, its corridor and the obstacles, and what all tasks show.
-
-    Args:
-        server: server of the view.
-        recording: recording of the run, which may have no step yet.
-    """
+    """The course, its corridor and the obstacles, and what all tasks show."""
 
     layers = ("corridor", "course", "rollouts", "plan", "trail", "obstacles")
 

@@ -24,12 +24,9 @@ LONGEST_NAME = 60
 
 
 class Plot(NamedTuple):
-    """Curves over time in one figure.
+    """Curves over time in one figure; the title tells the unit.
 
-    Args:
-        title: what they are, with the unit.
-        names: names of the curves.
-        rows: (N, 1 + K) time [s] and the value of each curve.
+    Each of the `rows` (N, 1 + K) has the time [s] and the value of each curve.
     """
 
     title: str
@@ -38,12 +35,7 @@ class Plot(NamedTuple):
 
 
 class Thinned:
-    """Rows that arrive one after the other, of which evenly spaced ones are kept.
-
-    Args:
-        width: length of a row.
-        most: greatest number of rows; beyond it every second one is dropped.
-    """
+    """Rows that arrive one after the other; evenly spaced ones, at most `most`, are kept."""
 
     def __init__(self, width: int, most: int) -> None:
         self._kept = np.zeros((0, width))
@@ -70,11 +62,7 @@ class Thinned:
 
 
 class History:
-    """What a view keeps of a run so far.
-
-    Args:
-        recording: the run, with or without steps; those that it has are included.
-    """
+    """What a view keeps of a run so far; steps that the recording already has are included."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording

@@ -15,12 +15,7 @@ SIZE = 10.0
 
 
 class PictureScene(Scene):
-    """The picture that a task draws of a frame, as in the animation.
-
-    Args:
-        server: server of the view.
-        recording: recording of the run, which may have no step yet.
-    """
+    """The picture that a task draws of a frame, as in the animation."""
 
     layers = ("picture",)
 

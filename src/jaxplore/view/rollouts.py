@@ -29,9 +29,7 @@ FAINT_SHARE, BOLD_SHARE = 0.4, 0.95
 class RolloutColours:
     """The choice of what colours the rollouts, and a legend with the range of the costs.
 
-    Args:
-        server: server of the view.
-        on_change: called when a page has chosen something else.
+    `on_change` is called when a page has chosen something else.
     """
 
     def __init__(self, server: "viser.ViserServer", on_change: Callable[[], None]) -> None:
@@ -101,12 +99,10 @@ def _css(colour: Colour) -> str:
 
 
 def weight_colours(weights: np.ndarray) -> np.ndarray:
-    """Return the colours (S, 3) of rollouts: faint, and strong from a share of the greatest weight.
+    """Return the colours (S, 3) of rollouts by their weights (S,), of which NaN counts as 0.
 
-    Between them the colour follows the weight.
-
-    Args:
-        weights: (S,) weights; NaN counts as 0.
+    Below a share of the greatest weight they are faint. From there on the colour follows the
+    weight, up to strong.
     """
     known = np.nan_to_num(weights)
     greatest = max(float(known.max(initial=0.0)), 1e-30)

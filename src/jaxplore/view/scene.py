@@ -19,13 +19,10 @@ HEAD_ROOM = 0.35
 
 
 class Scene(abc.ABC):
-    """The picture of a run in the browser; abstract.
+    """The picture of a run in the browser; abstract. The run may have no step yet.
 
     A layer is a node of the scene that the page can hide. Its lines and meshes are made when they
     are first drawn, and changed after that.
-
-    Args:
-        server: server of the view.
     """
 
     layers: tuple[str, ...] = ()
@@ -38,12 +35,7 @@ class Scene(abc.ABC):
 
     @abc.abstractmethod
     def draw(self, frame: Any, trail: np.ndarray) -> None:
-        """Draw a frame, but for its rollouts.
-
-        Args:
-            frame: the frame.
-            trail: (N, 2) positions of the robot so far [m].
-        """
+        """Draw a frame without its rollouts; the trail (N, 2) is of the run so far [m]."""
 
     def show(self, layer: str, *, is_shown: bool) -> None:
         """Show or hide a layer."""
@@ -74,13 +66,10 @@ class Scene(abc.ABC):
     def lines(
         self, name: str, pieces: np.ndarray, colour: Colour | np.ndarray, thickness: float
     ) -> None:
-        """Draw segments.
+        """Draw segments with the ends `pieces` (N, 2, 3) [m].
 
-        Args:
-            name: layer, or layer/part.
-            pieces: (N, 2, 3) ends of the segments [m].
-            colour: one colour, or one (N, 2, 3) for each end.
-            thickness: width of the lines [pixels].
+        The name is a layer, or layer/part. There is one colour for all, or one (N, 2, 3) for each
+        end. The thickness is in pixels.
         """
         colours = np.asarray(colour, np.uint8)
         colours = colours[:3] if colours.ndim == 1 else linear_light(colours)
@@ -133,14 +122,10 @@ class Scene(abc.ABC):
         size: tuple[float, float],
         height: float,
     ) -> None:
-        """Lay a picture on the ground.
+        """Lay a picture (rows, columns, 3) on the ground, with row 0 at the low end of y.
 
-        Args:
-            name: layer, or layer/part.
-            picture: (rows, columns, 3) picture, row 0 at the low end of y.
-            pose: pose of its corner [m, m, rad].
-            size: its extents along x and y [m].
-            height: height [m].
+        The name is a layer, or layer/part. `pose` is that of the picture's corner [m, m, rad],
+        `size` its extents along x and y [m], and `height` the height [m] at which it lies.
         """
         node = self._nodes.get(name)
         if node is not None:

@@ -19,15 +19,10 @@ LARGEST_PORT = 65535
 
 
 def open_server(host: str = HOST, port: int = 0, *, label: str) -> "viser.ViserServer":
-    """Start a server.
+    """Start a server; port 0 takes a free one, and `label` is the title of the page's panel.
 
     Pages of other web sites, which run in the same browser, are turned away. No page can ask the
     server to publish itself through viser's relay.
-
-    Args:
-        host: address to listen at.
-        port: port; 0 for a free one.
-        label: title of the page's panel.
 
     Raises:
         ValueError: viser is not installed; an address or a port that cannot be used.

@@ -41,13 +41,9 @@ def rounded(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
 def prisms(outlines: np.ndarray, bottom: float, top: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the vertices (2 N K, 3) and the faces (F, 3) of upright prisms.
 
-    The faces depend on the shape of the outlines only. Prisms whose outline is not finite are put
-    deep below the ground.
-
-    Args:
-        outlines: (N, K, 2) corners of convex polygons, counterclockwise [m].
-        bottom: height of their lower faces [m].
-        top: height of their upper faces [m].
+    Their outlines (N, K, 2) are convex polygons, counterclockwise [m]. `bottom` and `top` are the
+    heights of the lower and the upper faces [m]. The faces depend on the shape of the outlines
+    only. Prisms whose outline is not finite are put deep below the ground.
     """
     number, sides = outlines.shape[:2]
     vertices = np.stack([raised(outlines, bottom), raised(outlines, top)], axis=1)

@@ -45,14 +45,10 @@ class Range(NamedTuple):
 
 
 class Knob(NamedTuple):
-    """A slider of a parameter.
+    """A slider of a parameter, whose path is one of `get_parameters`.
 
-    Args:
-        path: path of the parameter, see `get_parameters`.
-        element: index of the element that it sets; None for a parameter that is one number.
-        group: name of its group, the cost term or the part of the controller.
-        label: name within the group.
-        range: range of the slider.
+    `element` is the index of the element that it sets; None for a parameter that is one number. The
+    group is the cost term or the part of the controller, and the label the name within it.
     """
 
     path: str
@@ -63,11 +59,7 @@ class Knob(NamedTuple):
 
 
 def choose_knobs(parameters: Mapping[str, Any]) -> tuple[Knob, ...]:
-    """Choose the parameters that get sliders, in the order of the controller's parts.
-
-    Args:
-        parameters: parameters by path, see `get_parameters`.
-    """
+    """Choose the parameters, by path, that get sliders, in the order of the controller's parts."""
     knobs = []
     for path, value in parameters.items():
         group, name = _split(path)
@@ -112,13 +104,7 @@ def _round_up(value: float) -> float:
 
 
 class Sliders:
-    """The sliders of a page, and the parameters that they ask for.
-
-    Args:
-        server: server of the view.
-        container: element of the page that holds them.
-        parameters: parameters of the controller by path.
-    """
+    """The sliders in an element of a page, and the parameters by path that they ask for."""
 
     def __init__(
         self, server: "viser.ViserServer", container: Any, parameters: Mapping[str, Any]

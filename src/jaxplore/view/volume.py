@@ -14,12 +14,7 @@ if TYPE_CHECKING:
 
 
 class VolumeScene(Scene):
-    """The voxels that the robot has found to be occupied, its trail and its plan, in space.
-
-    Args:
-        server: server of the view.
-        recording: recording of the run, which may have no step yet.
-    """
+    """The voxels that the robot has found to be occupied, its trail and its plan, in space."""
 
     layers = ("voxels", "plan", "trail")
 

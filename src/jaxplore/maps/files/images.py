@@ -53,11 +53,9 @@ class Greys(NamedTuple):
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Return the rows and columns of an image file, without reading its pixels; see `read_greys`.
+    """Return the rows and columns of an image file, without reading its pixels.
 
-    Raises:
-        ValueError: a file that is missing, malformed, of another format or too large; one line
-            that names it.
+    It raises as `read_greys`.
     """
     return _opened(path, lambda image: (image.height, image.width))
 
@@ -66,13 +64,9 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False, is_luma: bool = Fals
     """Read an image file of 1 to 16 bits: PGM (or another portable map), PNG, BMP, JPEG or WebP.
 
     The brightness of a pixel is the mean of red, green and blue, divided by the greatest value of
-    the format.
-
-    Args:
-        path: path of the file.
-        alpha_is_shade: whether the alpha channel counts as a fourth colour, as in nav2 until 2025.
-        is_luma: whether the brightness is the luma of ITU-R BT.709 in 8 bits, as in nav2 since;
-            alpha is then no colour.
+    the format. With `alpha_is_shade` alpha counts as a fourth colour, as in nav2 until 2025. With
+    `is_luma` the brightness is the luma of ITU-R BT.709 in 8 bits and alpha is no colour, as in
+    nav2 since.
 
     Raises:
         ValueError: a file that is missing, malformed, of another format or too large; one line

@@ -37,11 +37,9 @@ type _Promises = Iterator[tuple[str, int, int]]
 
 
 def check_header(file: BinaryIO, kind: str) -> None:
-    """Check the numbers in a header, and go back to the beginning of the file.
+    """Check the numbers in the header of a regular file, and go back to the file's beginning.
 
-    Args:
-        file: regular file, at its beginning.
-        kind: ending of its name, without the dot; of those without a check here all pass.
+    `kind` is the ending of its name, without the dot. Kinds without a check here all pass.
 
     Raises:
         ValueError: a header that promises more than the file holds.

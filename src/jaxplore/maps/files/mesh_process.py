@@ -49,12 +49,9 @@ class Geometry(NamedTuple):
 
 
 def read_geometry(file: BinaryIO, kind: str, memory: float) -> Geometry:
-    """Read a mesh or a point cloud.
+    """Read a mesh or a point cloud from a regular file at its beginning; `kind` is in `KINDS`.
 
-    Args:
-        file: regular file, at its beginning.
-        kind: one of `KINDS`.
-        memory: greatest memory of the reader [bytes]; at least `LEAST` is given.
+    The reader may take `memory` [bytes]; at least `LEAST` is given.
 
     Raises:
         ValueError: a file that its library cannot read, or not within memory and time; a missing

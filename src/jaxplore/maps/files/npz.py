@@ -37,12 +37,10 @@ def array_names(data: bytes) -> list[str]:
 def read_arrays(
     data: bytes, check: CheckHeader, names: Collection[str] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a file, by name; nothing is unpickled.
+    """Read the arrays of a file by name; nothing is unpickled.
 
-    Args:
-        data: content of the file.
-        check: called before memory is allocated for the size that an array declares.
-        names: names of the arrays that are read, if they are there; None for all.
+    With `names` only those of them that are there are read; None reads all. `check` is called
+    before memory is allocated for the size that an array declares.
 
     Raises:
         ValueError: what `check` refuses, and arrays that are not plain. A file that is malformed
@@ -60,13 +58,10 @@ def read_arrays(
 def read_array(
     file: IO[bytes], name: str, check: CheckHeader, most: int | None = None
 ) -> NDArray[Any]:
-    """Read an array from the file of one, `.npy`; nothing is unpickled.
+    """Read an array from the file of one, `.npy`, at its beginning; nothing is unpickled.
 
-    Args:
-        file: the file, at its beginning.
-        name: name of the array, for messages.
-        check: called before memory is allocated for the size that the array declares.
-        most: greatest size of the file [bytes], where it is known.
+    `check` is called, with `name`, before memory is allocated for the size that the array declares.
+    `most` is the greatest size of the file [bytes], where it is known.
 
     Raises:
         ValueError: what `check` refuses, a damaged file, an array that is not plain.

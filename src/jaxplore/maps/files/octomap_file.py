@@ -32,12 +32,9 @@ _NODES = {"OcTree": 5, "ColorOcTree": 8}
 
 
 class Leaves(NamedTuple):
-    """Leaves of one size.
+    """Leaves of one size: their corners (x, y, z) and their side [voxels].
 
-    Args:
-        corners: (N, 3) corners (x, y, z) [voxels].
-        size: side [voxels].
-        is_free: (N,) whether they are free; the others are occupied.
+    Those that are not free are occupied.
     """
 
     corners: NDArray[np.int32]
@@ -48,11 +45,8 @@ class Leaves(NamedTuple):
 class OctoMap:
     """An OctoMap, whose box is known before its voxels are made.
 
-    Voxels that are occupied or unknown are solid. The box is that around all known voxels.
-
-    Args:
-        data: content of the file.
-        memory: greatest memory to read it [bytes].
+    Voxels that are occupied or unknown are solid. The box is that around all known voxels. Reading
+    it takes at most `memory` [bytes].
 
     Attributes:
         resolution: side of a voxel [m].
@@ -121,11 +115,7 @@ class OctoMap:
 
 
 class _Binary:
-    """The nodes of a `.bt`, depth first: two bits for each child. Leaves have no node.
-
-    Args:
-        rows: (N, 2) bytes.
-    """
+    """The nodes of a `.bt`, depth first: two bits for each child. Leaves have no node."""
 
     def __init__(self, rows: NDArray[np.uint8]) -> None:
         self._codes = rows.view("<u2")[:, 0]
@@ -151,11 +141,7 @@ class _Binary:
 
 
 class _Full:
-    """The nodes of an `.ot`, depth first: log-odds, and a bit for each child.
-
-    Args:
-        rows: (N, width) bytes.
-    """
+    """The nodes of an `.ot`, depth first: log-odds, and a bit for each child."""
 
     def __init__(self, rows: NDArray[np.uint8]) -> None:
         self._rows = rows

@@ -26,11 +26,8 @@ def place(
 ) -> NDArray[np.float64]:
     """Return corners or points (N, 3) in metres with z up, and warn of what was guessed.
 
-    Args:
-        geometry: what a file holds.
-        scale: metres in a unit of it; what the file says, or a guess, when absent.
-        up: its up axis, likewise.
-        name: the file, for warnings.
+    `scale` is metres in a unit of the geometry, and `up` its up axis. Where one is None, what the
+    file says counts, or else a guess. Warnings name the file by `name`.
     """
     extent = np.ptp(geometry.corners, axis=0)
     said = geometry.unit

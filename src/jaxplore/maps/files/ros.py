@@ -57,9 +57,11 @@ def read_map(
       `(occ - free_thresh) / (occupied_thresh - free_thresh)`, rounded to hundredths.
     - `raw`: `v / 100` if `v = round(255 shade) <= 100`, else 0.5; `negate` has no effect.
 
-    By the rules `nav2_2025`, those of nav2 since that year, the shade is the luma of ITU-R BT.709
-    in 8 bits, both thresholds are inclusive (`>=` and `<=`, in single precision), and in `trinary`
-    and `scale` a pixel that is not opaque is unknown.
+    These are the rules `nav2`, of nav2 until 2025 and of ROS 1. By the rules `nav2_2025`, those of
+    nav2 since that year, the shade is the luma of ITU-R BT.709 in 8 bits, both thresholds are
+    inclusive (`>=` and `<=`, in single precision), and in `trinary` and `scale` a pixel that is not
+    opaque is unknown. A pixel of the grey `unknown` (0 to 255) is unknown whatever the thresholds
+    say, such as 205 beside a `free_thresh` of 0.25.
 
     `image`, `resolution` and `origin` are required. The defaults are `negate` 0, `occupied_thresh`
     0.65, `free_thresh` 0.25 and `mode` trinary. The image is PGM (or another portable map), PNG,
@@ -69,12 +71,6 @@ def read_map(
     A `UserWarning` tells if a hundredth of the cells or more are read doubtfully: within a grey
     level of a threshold; as free or occupied although they have the grey 205, which map savers
     write for unknown, or are not opaque.
-
-    Args:
-        path: path of the YAML file.
-        rules: "nav2", those of nav2 until 2025 and of ROS 1, or "nav2_2025".
-        unknown: grey from 0 to 255 that is read as unknown, whatever the thresholds say, such as
-            205 beside a `free_thresh` of 0.25; none when absent.
 
     Returns:
         Probability (H, W) in [0, 1] with row 0 at the origin (the image's bottom row), resolution
@@ -122,8 +118,7 @@ def read_map(
 def map_size(path: str | os.PathLike[str]) -> tuple[int, int, float]:
     """Return the rows, the columns and the resolution [m] of a map, without reading its cells.
 
-    Raises:
-        ValueError: as `read_map`, but what is wrong with the pixels is not found.
+    It raises as `read_map`, but does not find what is wrong with the pixels.
     """
     settings = _settings(Path(path))
     return *image_size(settings.image), settings.resolution
@@ -162,12 +157,8 @@ def write_map(
     under temporary names and then renamed, the image first. If they cannot be written, nothing is
     left behind and earlier files stay untouched.
 
-    Args:
-        path: path of the YAML file; it must end in .yaml or .yml.
-        probability: probability of occupancy (H, W) in [0, 1], row 0 at the origin.
-        resolution: side of a cell [m].
-        origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
-        mode: "trinary", "scale" or "raw".
+    `path` must end in .yaml or .yml. The probability (H, W) in [0, 1] has row 0 at the origin. The
+    origin is the pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
 
     Raises:
         ValueError: an argument that is not accepted.

@@ -32,14 +32,9 @@ _OPTIONAL = frozenset({"max_roughness"})
 
 
 def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the content of a terrain file that holds these arrays.
+    """Return the content of a terrain file that holds arrays by name; nothing is written.
 
-    Args:
-        path: path of the file, which must end in .npz; nothing is written.
-        arrays: arrays of the map by name.
-
-    Raises:
-        ValueError: a path with another ending.
+    A path that does not end in .npz raises a `ValueError`.
     """
     if path.suffix.lower() != _SUFFIX:
         raise ValueError(f"path is {printable_path(path)}; accepted: a name that ends in {_SUFFIX}")
@@ -53,12 +48,8 @@ def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]]
     """Check the content of a terrain file and build an object from its arrays.
 
     Types, numbers of axes and sizes are checked against those that `pack` writes, and the layers
-    must have one shape. `build` has to check the values.
-
-    Args:
-        path: path of the file, for messages.
-        data: content of the file.
-        build: function from the arrays by name to the object.
+    must have one shape. `build` gets the arrays by name and has to check their values. The path is
+    for messages.
 
     Raises:
         ValueError: content that is malformed or too large, and what `build` refuses.

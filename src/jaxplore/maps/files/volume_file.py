@@ -64,11 +64,7 @@ class VolumeFile:
         return Datum.near(*self.origin[:2], name=f"{self.name}: origin")
 
     def grid(self, datum: Datum = ORIGIN) -> VoxelGrid:
-        """Make the true world, relative to a datum.
-
-        Raises:
-            ValueError: a volume that is far from the datum.
-        """
+        """Make the true world, relative to a datum; refuse a volume that is far from it."""
         origin = datum.to_local(np.array(self.origin))
         return VoxelGrid.solid(self.make(), self.resolution, origin.tolist())
 
@@ -159,19 +155,9 @@ def open_volume(
     min_points: int = 1,
     memory: float = MEMORY,
 ) -> VolumeFile:
-    """Read the file of a volume, and make no voxels yet.
+    """Read the file of a volume as `read_volume` does, and make no voxels yet.
 
-    Args:
-        path: path of the file.
-        resolution: as of `read_volume`.
-        scale: likewise.
-        up: likewise.
-        is_open: likewise.
-        min_points: likewise.
-        memory: memory that reading the file may take [bytes].
-
-    Raises:
-        ValueError: as of `read_volume`, and a file that needs more memory.
+    It raises as `read_volume`, and for a file that needs more than `memory` [bytes].
     """
     _kinds.instance("path", path, str, PathLike)
     _kinds.flag("is_open", is_open)

@@ -25,10 +25,8 @@ def touched_voxels(
     memory beyond the mask is bounded. A surface between two voxels belongs to the upper one, and on
     the last face to the last one.
 
-    Args:
-        corners: corners (N, 3) as (x, y, z) from the lower corner of the grid, all in it [voxels].
-        faces: indices (M, 3) of the corners of each triangle.
-        shape: voxels along z, y and x.
+    Corners (N, 3) are (x, y, z) from the lower corner of the grid, all in it [voxels]. Faces (M, 3)
+    are their indices. The shape is along z, y and x.
     """
     solid = np.zeros(shape, bool)
     top = np.array(shape[::-1], np.int32) - 1

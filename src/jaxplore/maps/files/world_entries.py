@@ -236,12 +236,8 @@ def touches_solid(
     of the segment separates them. If they do not intersect, their distance is that of an end of the
     segment from the square or of a corner of the square from the segment.
 
-    Args:
-        solid: mask (H, W) of the solid cells; off the map nothing is solid.
-        ends: start and end (2, 2) as (x, y) from the lower corner of the map [m]; they may
-            coincide.
-        radius: radius of the disc [m].
-        resolution: side of a cell [m].
+    The ends (2, 2) are (x, y) from the lower corner of the map [m], and may coincide. Off the map
+    nothing is solid.
     """
     limits = np.array(solid.shape)
     (left, bottom), (right, top) = ends.min(axis=0) - radius, ends.max(axis=0) + radius

@@ -28,8 +28,8 @@ def wall_cells(resolution: float) -> int:
 def clearance_cells(radius: float, resolution: float) -> float:
     """Return the least distance between cell centres at which a disc clears an occupied cell.
 
-    The result is in cells. It adds half a diagonal, because the nearest point of a cell may be that
-    much nearer than its centre.
+    It is in cells, and includes half a diagonal: the nearest point of a cell may be that much
+    nearer than its centre.
     """
     return radius / resolution + math.sqrt(0.5)
 
@@ -91,11 +91,8 @@ class Clutter:
     Obstacles without holes that are farther apart than the robot is wide never cut off a part of
     the floor: the robot can go around each of them.
 
-    Args:
-        occupied: mask (H, W) of the occupied cells; `put` adds to it in place.
-        passage: distance between two obstacles [m].
-        resolution: side of a cell [m].
-        is_apart: whether new obstacles also keep this distance from what was occupied before.
+    `put` adds to `occupied` (H, W) in place. Obstacles are at least `passage` [m] apart. With
+    `is_apart` new ones also keep this distance from what was occupied before.
     """
 
     def __init__(
@@ -141,13 +138,7 @@ class Clutter:
         draw: Callable[[np.random.Generator], Mask],
         share: float,
     ) -> None:
-        """Place random obstacles until they cover a share of the floor or no more fit.
-
-        Args:
-            rng: random generator.
-            draw: function that draws the cells of an obstacle.
-            share: share of the free cells that obstacles have to cover.
-        """
+        """Place random obstacles until they cover a share of the free cells or no more fit."""
         wanted = share * float(np.count_nonzero(~self.occupied))
         # Enough tries that each place for a small obstacle is drawn a few times.
         tries = math.ceil(8 * self.taken.size * self.resolution**2)

@@ -136,10 +136,9 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
 
 
 def _middle_longest(run: NDArray[np.int_]) -> tuple[int, int]:
-    """Return the row and the last column of a longest run.
+    """Return the row and the last column of a longest run of free cells.
 
-    Args:
-        run: length (H, W) of the run of free cells that ends at each cell.
+    `run` is the length (H, W) of the run that ends at each cell.
     """
     from scipy import ndimage  # slow to import, and few need it
 

@@ -73,12 +73,7 @@ def walking_people(
 
 
 class _Ways:
-    """Shortest ways between cells.
-
-    Args:
-        is_open: (H, W) cells that a way may lead through.
-        is_clear: (H, W) cells that a straight part of it may cross.
-    """
+    """Shortest ways through the cells of `is_open`, with straight parts across `is_clear` only."""
 
     def __init__(self, is_open: np.ndarray, is_clear: np.ndarray) -> None:
         from scipy import sparse
@@ -102,9 +97,7 @@ class _Ways:
     def draw(self, rng: np.random.Generator, shortest: float) -> list[np.ndarray]:
         """Return the corners (row, column) of a way between two random cells.
 
-        Args:
-            rng: random generator.
-            shortest: length that it should have [cells].
+        The way should be at least `shortest` cells long.
         """
         from scipy.sparse.csgraph import dijkstra
 

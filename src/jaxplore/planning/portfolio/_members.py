@@ -43,12 +43,8 @@ def normalised_weights(
 ) -> tuple[Float[Array, "N O"], tuple[str, ...]]:
     """Return the weights (N, O) with rows that add up to 1, and the names of the members.
 
-    Args:
-        weights: (N, O) weights, or a mapping from member and objective to weights; absent ones
-            are 0.
-        names: names of the members; with weights by number, "1", "2" ... when absent.
-        objectives: names of the O objectives.
-        argument: name of the argument, for error messages.
+    Weights in a mapping go by member and objective, and absent ones are 0. Members whose weights
+    are an array are named "1", "2" ... without `names`. Messages call the weights `argument`.
 
     Raises:
         ValueError: weights of the wrong shape, negative ones, a row of zeros, an unknown objective,

@@ -17,15 +17,9 @@ from jaxplore.dynamics.base import Dynamics
 class CommonObjective(eqx.Module):
     """Evaluates plans from the current state under `sum_o f_o J_o + J_hard`.
 
-    Args:
-        dynamics: model of the robot.
-        hard: cost that no member trades for an objective, J_hard.
-        objectives: objectives J_o by name.
-        factors: (O,) factors f_o of the objectives.
-        dt: model step of the plans [s].
-        observation: (nx,) observed state of the robot.
-        belief: what the robot knows of the world.
-        applied: (nu,) control of the last step.
+    `hard` is the cost J_hard, which no member trades for an objective. `objectives` are the J_o by
+    name, and `factors` (O,) the f_o. `dt` is the model step of the plans [s], and `applied` (nu,)
+    the control of the last step.
     """
 
     dynamics: Dynamics

@@ -34,12 +34,9 @@ MEMBERS = "members"
 class MemberPlans(NamedTuple):
     """Plans of the N members in one step; all arrays have a leading axis of N.
 
-    Args:
-        states: states of the members after the step.
-        infos: diagnostics of the members.
-        controls: (N, T, nu) planned controls on the time grid of the template.
-        uncertainties: (N,) spread of the weighted samples, in half ranges of the controls; infinite
-            for a member without a finite rollout.
+    `states` are those after the step. `controls` (N, T, nu) are on the time grid of the template.
+    `uncertainties` (N,) are the spreads of the weighted samples, in half ranges of the controls;
+    infinite for a member without a finite rollout.
     """
 
     states: MPPIState
@@ -128,11 +125,7 @@ class MemberControllers(eqx.Module):
         return states
 
     def member(self, index: int | Array) -> MPPI:
-        """Return one member as an MPPI controller; its cost is J_hard alone.
-
-        Args:
-            index: index of the member; it may be traced.
-        """
+        """Return a member as an MPPI controller with J_hard as its cost; `index` may be traced."""
         member = self.mppi
         if self.temperatures is not None:
             member = eqx.tree_at(_temperature, member, self.temperatures[index])
@@ -161,12 +154,7 @@ class MemberControllers(eqx.Module):
     ) -> tuple[MemberPlans, Float[Array, " O"]]:
         """Plan with all members; return their plans and the updated spread of the objectives (O,).
 
-        Args:
-            states: states of the members.
-            spread: (O,) spread of the objectives before; 0 before the first step.
-            observation: (nx,) observed state of the robot.
-            belief: what the robot knows of the world.
-            key: random key, shared by all members.
+        `spread` is the one before; 0 before the first step. All members share the random key.
         """
 
         def one(

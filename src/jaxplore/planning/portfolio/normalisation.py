@@ -16,10 +16,8 @@ class Normalisation(eqx.Module):
 
         s_o = max(floor_o, spread_o),   spread_o = mean of |J_o - mean J_o|
 
-    Args:
-        floors: (O,) lower bounds of the scales.
-        smoothing_time: time constant of the smoothing [s].
-        is_on: whether objectives are divided by their scale; static.
+    `smoothing_time` is the time constant of the smoothing [s]. If `is_on` is false, all scales
+    are 1.
     """
 
     floors: Float[Array, " O"]
@@ -42,14 +40,10 @@ class Normalisation(eqx.Module):
 
             spread <- spread + (1 - exp(-elapsed / smoothing_time)) (new - spread)
 
-        The first spread is taken unsmoothed. A new spread that is 0 or not finite is ignored.
-
-        Args:
-            spread: (O,) spread before; 0 before the first step.
-            values: (O, K) objectives of the rollouts of this member.
-            hard: (K,) hard costs of these rollouts.
-            elapsed: time since the last step [s].
-            axis: name of the mapped axis of members.
+        The spread is 0 before the first step. The first new one is taken unsmoothed; one that is 0
+        or not finite is ignored. `values` (O, K) are the objectives of this member's rollouts, and
+        `hard` (K,) their hard costs. `elapsed` is the time since the last step [s]. `axis` is the
+        name of the mapped axis of members.
         """
         # Rollouts that collide do not count, as long as others are left: the depth of a collision
         # would hide the differences between the rollouts that may be chosen.

@@ -85,7 +85,7 @@ class Mission(NamedTuple):
 def objectives(
     mission: Mission, clearance: ArrayLike = 0.4, *, is_guided: bool = True
 ) -> dict[str, Cost]:
-    """Build the objectives of a mission by name.
+    """Build the objectives of a mission by name; `clearance` [m] is kept from obstacles.
 
     | name | cost | when |
     | --- | --- | --- |
@@ -97,11 +97,6 @@ def objectives(
     | effort | `ControlCost` | always |
 
     Without a goal, the exploiter is guided to the remaining information that is known.
-
-    Args:
-        mission: task of the vehicle.
-        clearance: distance kept from obstacles [m].
-        is_guided: whether `information` includes the guidance to the remaining information.
     """
     _kinds.flag("is_guided", is_guided)
     seen = 2.0 * InformationCost(is_fading=True)

@@ -52,21 +52,9 @@ def sampling(
 ) -> Sampling:
     """Build the parts of MPPI from their names and numbers; see the functions below.
 
-    Args:
-        robot: model of the robot.
-        noise_std: (nu,) standard deviations of independent controls, see `spread`.
-        horizon: model steps ahead, T.
-        num_samples: rollouts, K.
-        dt: model step [s].
-        parameterisation: parameterisation of the controls, or its name.
-        noise: source of noise, or its name.
-        weighting: weighting of the rollouts, or its name.
-        temperature: temperature of the softmax, the least one of the adaptive softmax.
-        effective_share: share of the samples that count.
-        importance: weight of the likelihood ratio of "softmax".
-
-    Raises:
-        ValueError: an unknown name, a number that is not accepted.
+    `noise_std` (nu,) are the standard deviations of independent controls, see `spread`. `horizon`
+    is the number of model steps ahead, T, of `dt` [s] each, and `num_samples` the number of
+    rollouts, K. `weighting_by_name` says what the other numbers are.
     """
     chosen = parameterisation_by_name(parameterisation, horizon)
     factor = spread(chosen, horizon, dt)
@@ -99,13 +87,7 @@ def parameterisation_by_name(
     | "smooth" | `Smooth()` |
     | "knots" | `Knots(num_knots)`, cubic splines |
 
-    Args:
-        given: a parameterisation, or the name of one.
-        horizon: model steps ahead, T.
-        num_knots: number of knots; at most one for each step is made.
-
-    Raises:
-        ValueError: another name, a horizon that is not positive.
+    There are at most as many knots as model steps in the horizon.
     """
     if isinstance(given, Parameterisation):
         return given
@@ -122,17 +104,10 @@ def parameterisation_by_name(
 def spread(parameterisation: Parameterisation, horizon: int, dt: ArrayLike) -> Scalar:
     """Compute the factor on the standard deviation that independent controls would have.
 
-    With it the sum of the controls over the horizon has the same variance: `sqrt(P / T)` for P
-    `Knots`, each of which lasts for T / P steps, and `1 / (dt sqrt(T / 2))` for the rates of
-    `Smooth`, which add up from command to command, after T / 2 commands. 1 for any other.
-
-    Args:
-        parameterisation: parameterisation of the controls.
-        horizon: model steps ahead, T.
-        dt: model step [s].
-
-    Raises:
-        ValueError: a horizon or a model step that is not positive.
+    With it the sum of the controls over the horizon of T model steps has the same variance:
+    `sqrt(P / T)` for P `Knots`, each of which lasts for T / P steps, and `1 / (dt sqrt(T / 2))`
+    for the rates of `Smooth`, which add up from command to command, after T / 2 commands. 1 for
+    any other. The model step `dt` is in s.
     """
     steps = _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
     step = _checks.scalar("dt", dt, above=0.0)
@@ -155,13 +130,7 @@ def noise_by_name(
     | "sobol" | `SobolNoise()` |
     | "bank" | `NoiseBank`, the same numbers in every controller |
 
-    Args:
-        given: a source of noise, or the name of one.
-        num_samples: rollouts, K.
-        accepted: the names that this controller accepts.
-
-    Raises:
-        ValueError: another name.
+    `accepted` are the names that this controller accepts.
     """
     if isinstance(given, Noise):
         return given
@@ -193,16 +162,8 @@ def weighting_by_name(
     | "adaptive" | `AdaptiveSoftmax(effective_share * K, 0.0, temperature)` |
     | "elite" | `Elite(effective_share)` |
 
-    Args:
-        given: a weighting, or the name of one.
-        temperature: temperature of the softmax, the least one of the adaptive softmax.
-        effective_share: share of the samples that count: the least one with the adaptive softmax,
-            that of the elite.
-        num_samples: rollouts, K.
-        importance: weight of the likelihood ratio of "softmax".
-
-    Raises:
-        ValueError: another name, a temperature that is not positive, a share outside (0, 1].
+    K is `num_samples`. `effective_share` is the share of the samples that count. For "adaptive",
+    share and temperature are the least ones. `importance` is the weight of the likelihood ratio.
     """
     # Checked under any name, so that a bad number is refused wherever it stands.
     heat = _checks.scalar("temperature", temperature, above=0.0)

@@ -61,11 +61,7 @@ def target_explorer(
 
 
 def checked_rule(rule: TargetRule | str) -> TargetRule:
-    """Return a rule that is given as one or by its name in `RULES`.
-
-    Raises:
-        ValueError: a name that is not there, another class.
-    """
+    """Return a rule that is given as one or by its name in `RULES`; refuse anything else."""
     if isinstance(rule, str):
         if rule not in RULES:
             raise ValueError(f"rule is {rule!r}; accepted: {', '.join(RULES)}")

@@ -134,12 +134,8 @@ def approach_gain(gain: Scalar, distance: Scalar, braking: Scalar) -> Scalar:
         v = sqrt(2 braking (d - braking / (2 gain^2)))             beyond
 
     Near the target the approach is exponential. Farther away the gain falls, so that the robot can
-    stop with the deceleration `braking`. Value and slope of v are continuous.
-
-    Args:
-        gain: ratio near the target [1/s].
-        distance: distance to the target, d [m], or an angle [rad].
-        braking: deceleration [m/s^2] or [rad/s^2].
+    stop with the deceleration `braking`. Value and slope of v are continuous. The distance d is in
+    m and the deceleration in m/s^2, or they are an angle in rad and in rad/s^2.
     """
     # The guards keep the gradient finite at distance 0.
     near = braking / (gain * gain)

@@ -71,16 +71,11 @@ def find_frontiers(
 ) -> Frontiers:
     """Find the frontiers and views that a robot can reach.
 
-    Args:
-        belief: what the robot knows of the world.
-        pose: pose of the robot (x, y, yaw) [m, m, rad].
-        locomotion: paths that the robot can drive.
-        required_clearance: clearance that the robot needs [m].
-        min_information: discounted information below which a place is not visited [nat].
-        leftover_share: share of `min_information` below which a place has nothing left.
-        min_frontier: minimum length of a frontier, and of a cluster [m].
-        stride: cells between nodes, as in the fields of the belief; static.
-        near: largest number of nodes between a frontier node and its frontier cells; static.
+    A place whose discounted information is below `min_information` [nat] is not visited. Below the
+    share `leftover_share` of that it has nothing left. `min_frontier` is the minimum length of a
+    frontier, and of a cluster [m]. `near` is the largest number of nodes between a frontier node
+    and its frontier cells, and `stride` the number of cells between nodes, as in the fields of the
+    belief; both are static.
     """
     # The same road map as the guidance uses, so that every candidate can be driven to.
     roads = locomotion.roadmap(belief.clearance, required_clearance, stride)
@@ -134,9 +129,6 @@ def cluster_sizes(mask: Bool[Array, "*cells"]) -> Int[Array, "*cells"]:
     plane and 26 in a volume (connected-component labelling). Each cell takes the greatest label
     around it, and then the label of the cell that this label names, until no label changes. The
     latter makes the number of rounds grow with the logarithm of the length of a cluster.
-
-    Args:
-        mask: cells.
     """
     window, strides = (3,) * mask.ndim, (1,) * mask.ndim
     own = jnp.arange(mask.size, dtype=jnp.int32).reshape(mask.shape)

@@ -20,10 +20,7 @@ from jaxplore.costs.tracking import GoalCost
 class RandomWalkState(NamedTuple):
     """State of the random walk.
 
-    Args:
-        mppi: state of MPPI.
-        target: current target (x, y) [m].
-        step: number of commands since the first target was drawn.
+    `target` is (x, y) [m]. `step` is the number of commands since the first target was drawn.
     """
 
     mppi: MPPIState

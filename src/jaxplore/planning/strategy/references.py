@@ -113,13 +113,8 @@ def descend(
     """Compute the positions of a robot that descends a cost-to-go field (T, 3) [m].
 
     A field over headings is that of a car. Its positions are those of the motions of its lattice,
-    forwards and backwards, at no more than the speeds of the car.
-
-    Args:
-        gradient_reference: gradient ascent that makes the positions, here of the negative field.
-        field: cost to go [m].
-        belief: what the robot knows of the world.
-        start: where the reference begins; its z is kept.
+    forwards and backwards, at no more than the speeds of the car. In any other field
+    `gradient_reference` ascends the negative cost. The z of `start` is kept.
     """
     driven = _driven(gradient_reference, field, start)
     if driven is not None:

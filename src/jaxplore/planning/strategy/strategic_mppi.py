@@ -21,11 +21,9 @@ from jaxplore.planning.strategy.follower import Follower
 class InformativeState(NamedTuple):
     """State of informative MPPI.
 
-    Args:
-        mppi: state of the MPPI layer.
-        plan: last result of the strategic layer; meaningless before the first step.
-        age: number of commands since that result. The strategic layer runs again when it reaches
-            the number of commands per strategy period.
+    `plan` is the last result of the strategic layer; it is meaningless before the first step. `age`
+    is the number of commands since that result. The strategic layer runs again when it reaches the
+    number of commands per strategy period.
     """
 
     mppi: MPPIState
@@ -36,14 +34,10 @@ class InformativeState(NamedTuple):
 class StrategicMPPI(Controller):
     """MPPI at every command, and a strategic layer at every n-th one, whose plan its costs read.
 
-    Between two runs of the strategic layer its last plan is kept. If there is a follower, a share
-    of the samples is drawn around the controls that follow the reference of the plan.
-
-    Args:
-        mppi: MPPI layer. If its proposal is a `BiasedProposal`, it is biased by the reference.
-        follower: follower that turns the reference into controls, for a `BiasedProposal`.
-        strategy_period: time between runs of the strategic layer [s]; a multiple of the control
-            period.
+    Between two runs of the strategic layer its last plan is kept. `strategy_period` is the time
+    between them [s], a multiple of the control period. If there is a follower, it turns the
+    reference of the plan into controls, and the `BiasedProposal` of `mppi` draws a share of the
+    samples around these.
     """
 
     belief_type: ClassVar[type]
@@ -63,22 +57,13 @@ class StrategicMPPI(Controller):
 
     @abc.abstractmethod
     def strategic_plan(self, belief: Any, observation: StateVector) -> Any:
-        """Run the strategic layer.
-
-        Args:
-            belief: what the robot knows of the world.
-            observation: (nx,) observed state of the robot.
-        """
+        """Run the strategic layer at the observed state (nx,), and return its plan."""
 
     @abc.abstractmethod
     def known(self, belief: Any, observation: StateVector, plan: Any, age: Scalar) -> Any:
         """Return the belief that the costs read: the robot's own, with the strategic plan.
 
-        Args:
-            belief: what the robot knows of the world.
-            observation: (nx,) observed state of the robot.
-            plan: last result of the strategic layer.
-            age: time since that result [s].
+        `age` is the time since the strategic layer made the plan [s].
         """
 
     def place(self, observation: StateVector) -> Float[Array, " D"]:
@@ -96,8 +81,7 @@ class StrategicMPPI(Controller):
     def at_period(self, control_period: ArrayLike) -> "StrategicMPPI":
         """Return a copy of this controller that is called every `control_period` seconds.
 
-        Raises:
-            ValueError: a strategy period that is not a whole number of these periods.
+        The strategy period must be a whole number of these periods.
         """
         mppi = self.mppi.at_period(control_period)
         _check_periods(self.strategy_period, mppi.control_period)
@@ -116,20 +100,7 @@ class StrategicMPPI(Controller):
         *,
         key: Key,
     ) -> tuple[ControlVector, InformativeState, Info]:
-        """Run the strategic layer if it is due, then plan with MPPI.
-
-        Args:
-            state: state from `init` or the last step.
-            observation: (nx,) observed state of the robot.
-            belief: what the robot knows of the world.
-            key: random key of this step.
-
-        Returns:
-            The control (nu,), the new state, and `Info`.
-
-        Raises:
-            ValueError: no belief.
-        """
+        """Run the strategic layer if it is due, then plan with MPPI. There must be a belief."""
         model = self.mppi.dynamics
         observation = checked_call(model, state, InformativeState, observation, key)
         mppi, known, plan, age = self._prepare(state, observation, belief)
@@ -193,13 +164,7 @@ class StrategicMPPI(Controller):
 def checked_strategy(
     mppi: MPPI, reference: object, follower: Follower | None, period: ArrayLike
 ) -> Scalar:
-    """Return the strategy period, after the checks of the parts of a `StrategicMPPI`.
-
-    Args:
-        mppi: MPPI layer.
-        reference: rule that makes the reference; none when absent.
-        follower: follower of the reference; none when absent.
-        period: time between runs of the strategic layer [s].
+    """Return the strategy period [s], after the checks of the parts of a `StrategicMPPI`.
 
     Raises:
         ValueError: a strategy period that is not a whole number of control periods; a biased

@@ -34,13 +34,9 @@ from jaxplore.planning.strategy.target_rules import TargetRule, ask
 class TargetState(NamedTuple):
     """State of a `TargetController`.
 
-    Args:
-        tracker: state of the controller that drives.
-        node: index of the target on the guidance lattice: (row, column), or (k, j, i) in a volume.
-        has_target: whether there is a target.
-        guidance: cost to go to the target [m].
-        since: number of commands so far.
-        progress: how near the robot has come to the target, and which ones it avoids.
+    `tracker` is the state of the controller that drives. `node` is the index of the target on the
+    guidance lattice: (row, column), or (k, j, i) in a volume. `guidance` is the cost to go to it
+    [m]. `since` is the number of commands so far.
     """
 
     tracker: Any
@@ -65,13 +61,9 @@ class TargetController(Controller):
     The tracker descends the cost to go to the target, which replaces the guidance in its belief.
     Motion, obstacles and limits are those of the tracker, the same for all rules.
 
-    Args:
-        tracker: controller that goes down `belief.guidance`, such as MPPI.
-        rule: rule that chooses targets.
-        near: length of the path to a target at which it counts as reached [m].
-        every: number of commands between choices.
-        stays: whether the robot stays at a target until its information is seen or discounted;
-            static.
+    A target counts as reached at a path length of `near` [m]. `every` is the number of commands
+    between choices. With `stays` the robot stays at a target until its information is seen or
+    discounted.
     """
 
     belief_type: ClassVar[type]

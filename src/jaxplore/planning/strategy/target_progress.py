@@ -40,11 +40,7 @@ class TargetProgress(NamedTuple):
 
     @classmethod
     def begin(cls, shape: tuple[int, ...]) -> "TargetProgress":
-        """Return the progress before the first choice.
-
-        Args:
-            shape: shape of the lattice of places; static.
-        """
+        """Return the progress before the first choice, on a lattice of places of this shape."""
         nothing = jnp.zeros((), jnp.int32)
         return cls(jnp.asarray(jnp.inf), nothing, nothing, jnp.zeros(shape, jnp.int32))
 
@@ -62,11 +58,9 @@ class TargetProgress(NamedTuple):
     ) -> "TargetProgress":
         """Return the progress at the time of a choice.
 
-        Args:
-            distance: length of the path to each place [m].
-            node: the target.
-            is_on_the_way: whether there is a target and the robot is not at it yet.
-            spacing: distance between places [m].
+        `distance` is the length of the path to each place [m], and `spacing` the distance between
+        places [m]. `is_on_the_way` is whether there is a target, `node`, that the robot has not
+        reached yet.
         """
         here = distance[tuple(node)]
         is_nearer = here < self.best - LEAST
@@ -86,11 +80,9 @@ class TargetProgress(NamedTuple):
         )
 
     def towards(self, distance: Scalar, is_new: Flag) -> "TargetProgress":
-        """Return the progress after a choice.
+        """Return the progress after a choice of a target; the path to it is `distance` [m] long.
 
-        Args:
-            distance: length of the path to the target [m].
-            is_new: whether it is another one than before.
+        `is_new` is whether it is another target than before.
         """
         return self._replace(
             best=jnp.where(is_new, distance, self.best),

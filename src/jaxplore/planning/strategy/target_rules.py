@@ -35,13 +35,7 @@ class TargetRule(eqx.Module):
 
 
 def ask(rule: TargetRule, method: str, frontiers: Frontiers, **options: Key) -> Array:
-    """Return what a rule says of the nodes: `candidates`, or `scores`.
-
-    Args:
-        rule: the rule, perhaps of the user's own.
-        method: name of the method.
-        frontiers: the nodes.
-        options: further arguments of the method.
+    """Return what a rule, perhaps of the user's own, says of the nodes: `candidates`, or `scores`.
 
     Raises:
         ValueError: a method that fails, or that returns something else than a mask or numbers over

@@ -29,8 +29,7 @@ def belief_colours() -> np.ndarray:
 
 
 def blend(colour: tuple[int, ...], ground: tuple[int, ...], share: float) -> tuple[int, int, int]:
-    """Blend a share of one colour over another; components after red, green and blue are
-    dropped."""
+    """Blend a share of one colour over another; only red, green and blue are used."""
     red, green, blue = (
         round(share * over + (1.0 - share) * under)
         for over, under in zip(colour[:3], ground, strict=True)

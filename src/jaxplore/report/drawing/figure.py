@@ -21,13 +21,10 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 
 def figure_formats(figures: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the formats in which figures are written.
-
-    Args:
-        figures: png, pdf or svg, or several; a text separates them by commas.
+    """Return the formats of figures, given as a sequence or as a text with commas.
 
     Raises:
-        ValueError: another format, or none.
+        ValueError: another format than png, pdf and svg, or none.
     """
     names = figures.split(",") if isinstance(figures, str) else figures
     if not isinstance(names, Sequence):
@@ -39,12 +36,10 @@ def figure_formats(figures: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def figure_bytes(figure: "Figure", kind: str = PNG, dpi: int | float | None = None) -> bytes:
-    """Return the file of a figure.
+    """Return the file of a figure as png, pdf or svg.
 
-    Args:
-        figure: the figure.
-        kind: png, pdf or svg.
-        dpi: resolution of a PNG, or of the images within the others; by the format when absent.
+    `dpi` is the resolution of a PNG, or of the images within the others; None takes the default
+    of the format.
     """
     import matplotlib as mpl
 
@@ -58,13 +53,6 @@ def figure_bytes(figure: "Figure", kind: str = PNG, dpi: int | float | None = No
 
 
 def write_figure(figure: "Figure", folder: Path, name: str, kinds: Sequence[str]) -> None:
-    """Write a figure into a folder, in each of some formats.
-
-    Args:
-        figure: the figure.
-        folder: an existing folder.
-        name: name of the files, without suffix.
-        kinds: formats, of `figure_formats`.
-    """
+    """Write a figure into an existing folder in each of the formats; `name` has no suffix."""
     for kind in kinds:
         (folder / f"{name}.{kind}").write_bytes(figure_bytes(figure, kind))

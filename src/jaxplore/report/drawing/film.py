@@ -115,10 +115,7 @@ class Film:
 def check_film(path: str | PathLike[str], options: FilmOptions, *, name: str = "film") -> Path:
     """Check before a long run whether a film can be written; return its path.
 
-    Args:
-        path: file of the film.
-        options: how it is played.
-        name: name of the path in messages.
+    `name` is that of the path in messages.
 
     Raises:
         ValueError: a file that is neither a GIF nor an MP4, or without a folder; a rate that a GIF
@@ -157,17 +154,11 @@ def write_film[F](
     options: FilmOptions,
     on_progress: Callable[[float], None],
 ) -> None:
-    """Write a film of frames, completely or not at all.
+    """Write a film of frames, at least one, completely or not at all.
 
-    A GIF loops, and pauses on the last frame.
-
-    Args:
-        path: file of the film; its suffix, .gif or .mp4, says which kind.
-        frames: frames to draw, at least one.
-        draw: function that draws a frame; all pictures have the same size.
-        palette: function that computes the palette of a GIF from some of the pictures.
-        options: how it is played.
-        on_progress: called with the share that is done, 0 to 1.
+    The suffix of the path, .gif or .mp4, says which kind. A GIF loops, and pauses on the last
+    frame. All pictures that `draw` returns have the same size. `palette` computes the palette of a
+    GIF from some of them. `on_progress` is called with the share that is done, 0 to 1.
 
     Raises:
         ValueError: what `check_film` rejects; a file that cannot be written.
@@ -251,11 +242,7 @@ def _even(picture: Image.Image) -> Image.Image:
 def captioned(image: Image.Image, scale: float, left: str, right: str) -> Image.Image:
     """Return a picture below a caption, such as its name and the speed of the film.
 
-    Args:
-        image: the picture.
-        scale: scale of the picture.
-        left: text on the left, in bold letters; may be empty.
-        right: text on the right; may be empty.
+    The left text is in bold letters. Either text may be empty.
     """
     height = round(CAPTION * scale)
     whole = Image.new("RGB", (image.width, image.height + height), PAPER)

@@ -29,13 +29,9 @@ def fonts(scale: float) -> tuple[Font, Font]:
 
 
 class Entry(NamedTuple):
-    """An entry of the legend.
+    """An entry of the legend: what is drawn, in which colour and in which shape.
 
-    Args:
-        name: what is drawn.
-        colour: its colour.
-        sign: the shape in which it is drawn.
-        edge: colour of the edge of a disc; none when absent.
+    `edge` is the colour of the edge of a disc; None draws no edge.
     """
 
     name: str
@@ -45,12 +41,7 @@ class Entry(NamedTuple):
 
 
 def footer_height(width: float, num_entries: int) -> int:
-    """Return the height of a footer [pixels of scale 1].
-
-    Args:
-        width: width of the picture [pixels of scale 1].
-        num_entries: number of entries of the legend.
-    """
+    """Return the height of a footer of some width [pixels of scale 1]."""
     return STRIP + LINE * -(-num_entries // _columns(width)) + 6
 
 
@@ -70,13 +61,7 @@ class _Signs:
 
 
 class Footer:
-    """The footer of a picture, drawn in pixels of scale 1 from its upper left corner.
-
-    Args:
-        image: picture of the whole frame.
-        scale: scale of the picture.
-        entries: entries of the legend.
-    """
+    """The footer of a picture, drawn in pixels of scale 1 from its upper left corner."""
 
     def __init__(self, image: Image.Image, scale: float, entries: Sequence[Entry]) -> None:
         self.image, self.scale, self.entries = image, scale, entries
@@ -104,11 +89,7 @@ class Footer:
         self.text(end + 8, 14, name, PALE)
 
     def scale_bar(self, pixels_per_metre: float) -> None:
-        """Draw a bar of a round length.
-
-        Args:
-            pixels_per_metre: pixels of the picture per metre of the map.
-        """
+        """Draw a bar of a round length, given the picture's pixels per metre of the map."""
         length = round_length(LONGEST_BAR * self.scale / pixels_per_metre)
         left, right = EDGE * self.scale, EDGE * self.scale + length * pixels_per_metre
         y, tick, thick = self.top + BAR_TOP * self.scale, 4 * self.scale, round(2 * self.scale)
@@ -136,11 +117,8 @@ class Footer:
     ) -> None:
         """Draw a curve up to the present time, right of the numbers.
 
-        Args:
-            time: (N,) times of the whole run [s].
-            shares: (N,) heights of the curve, from 0 to 1.
-            step: index of the present time.
-            level: share that a horizontal line marks; none when absent.
+        `time` (N,) covers the whole run [s], and `step` is the index of the present time. The
+        shares (N,) are heights from 0 to 1. A horizontal line marks a level; None draws none.
         """
         across, height = self.width - EDGE - CURVE_LEFT, STRIP - 22
         # Pillow draws lines without smoothing, so they are drawn larger and reduced.

@@ -24,11 +24,9 @@ REFERENCE = (25, 91, 38)
 
 
 def fitted_palette(given: Sequence[Colour], pictures: Sequence[Image.Image]) -> Image.Image:
-    """Compute a palette of given colours and the most frequent other colours of some frames.
+    """Compute a palette of the given colours and the most frequent others of some frames.
 
-    Args:
-        given: opaque colours that are kept unchanged.
-        pictures: some of the frames, all of one size.
+    The given colours are opaque and kept unchanged. The frames are all of one size.
     """
     width, height = pictures[0].size
     sheet = Image.new("RGB", (width, height * len(pictures)))

@@ -24,13 +24,7 @@ def to_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def outline_at(corners: np.ndarray, position: np.ndarray, heading: float) -> np.ndarray:
-    """Transform a robot's corners (..., 2) from its own frame to the world [m].
-
-    Args:
-        corners: (..., 2) corners in the robot's frame [m].
-        position: (2,) position of the robot [m].
-        heading: heading of the robot [rad].
-    """
+    """Transform a robot's corners (..., 2) from its own frame to the world [m]."""
     cos, sin = np.cos(heading), np.sin(heading)
     turn = np.array([[cos, sin], [-sin, cos]])
     return np.asarray(np.asarray(corners, np.float64) @ turn + np.asarray(position, np.float64))

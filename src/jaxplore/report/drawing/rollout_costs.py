@@ -32,9 +32,6 @@ def cost_names(frame: Any) -> tuple[str, ...]:
 
     There are none if the frame has no costs of rollouts. A term that is called as the total or the
     weight is left out.
-
-    Args:
-        frame: frame of a run.
     """
     terms = tuple(getattr(frame, "sample_terms", ()))
     others = [name for name in terms if name not in (WEIGHT, TOTAL)]
@@ -44,12 +41,8 @@ def cost_names(frame: Any) -> tuple[str, ...]:
 def costs_of_rollouts(frame: Any, name: str) -> np.ndarray:
     """Return what the rollouts of a frame cost (S,), in double precision.
 
-    Args:
-        frame: frame of a run.
-        name: name of a term, or `TOTAL` for the sum of all terms.
-
-    Raises:
-        ValueError: the frame has no such cost.
+    The name is that of a term, or `TOTAL` for the sum of all terms. A cost that the frame does not
+    have raises a `ValueError`.
     """
     known = cost_names(frame)
     if name not in known:
@@ -68,11 +61,7 @@ def cost_range(costs: np.ndarray) -> tuple[float, float] | None:
 
 
 def cost_colours(costs: np.ndarray) -> np.ndarray:
-    """Return the colours (S, 3) of costs (S,), from the least one to the greatest.
-
-    Args:
-        costs: the costs; one that is not finite is grey.
-    """
+    """Return the colours (S, 3) of costs (S,) from least to greatest; one not finite is grey."""
     colours = np.broadcast_to(np.asarray(NOT_FINITE, np.float64), (len(costs), 3)).copy()
     ends = cost_range(costs)
     if ends is not None:

@@ -15,11 +15,8 @@ if TYPE_CHECKING:
 def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
     """Compute the moving average (N, ...) over `width` rows around each row, fewer at the ends.
 
-    Values that are not finite are left out; a window without finite values has the mean NaN.
-
-    Args:
-        rows: (N, ...) values.
-        width: number of rows, >= 1; an even window reaches one row further back.
+    The width is at least 1; an even one reaches one row further back. Values that are not finite
+    are left out; a window without finite values has the mean NaN.
     """
     values = np.asarray(rows, np.float64)
     is_finite = np.isfinite(values)
@@ -38,11 +35,7 @@ def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
 
 
 def line_style(number: int) -> dict[str, Any]:
-    """Return the colour and the line style of a curve, so that many curves stay distinct.
-
-    Args:
-        number: number of the curve in its figure, from 0.
-    """
+    """Return the colour and the line style of curve `number`, from 0; many stay distinct."""
     # After the last colour the line style changes.
     turn, place = divmod(number, len(SERIES))
     return {"color": SERIES[place], "linestyle": ("-", "--", ":", "-.")[turn % 4]}
@@ -55,12 +48,7 @@ def style_time(axes: "Axes", duration: float) -> None:
 
 
 def style_count(axis: "Axis", most: int = 8) -> None:
-    """Put the ticks of an axis at whole numbers.
-
-    Args:
-        axis: axis of a figure that shows a count.
-        most: greatest number of intervals between ticks.
-    """
+    """Put the ticks of an axis at whole numbers, with at most `most` intervals between them."""
     from matplotlib.ticker import MaxNLocator
 
     # With fewer than one whole number in view, Matplotlib would fall back to fractions.

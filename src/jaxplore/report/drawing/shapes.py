@@ -31,8 +31,7 @@ class Surface(Protocol):
 
     @property
     def unit(self) -> float:
-        """Pixels of the supersampled picture per pixel of a final picture of scale 1, in which
-        widths of lines are given."""
+        """Supersampled pixels per pixel of scale 1, in which widths of lines are given."""
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Turn world points (..., 2) [m] into columns and rows of the supersampled picture."""
@@ -47,12 +46,7 @@ def draw_line(
 ) -> None:
     """Draw a line through world points (N, 2) [m]; points that are not finite are left out.
 
-    Args:
-        surface: transformation from world points to pixels.
-        draw: Pillow's drawing interface of the picture.
-        points: (N, 2) world points [m].
-        colour: colour of the line.
-        thickness: width of the line [pixels of scale 1].
+    The thickness is in pixels of scale 1.
     """
     whole = points[np.isfinite(points).all(axis=-1)]
     if len(whole) > 1:
@@ -62,14 +56,7 @@ def draw_line(
 def draw_rollouts(
     surface: Surface, draw: ImageDraw.ImageDraw, samples: np.ndarray, weights: np.ndarray
 ) -> None:
-    """Draw rollouts; those with a great weight are bold and on top.
-
-    Args:
-        surface: transformation from world points to pixels.
-        draw: Pillow's drawing interface of the picture.
-        samples: (S, T, 2) positions [m].
-        weights: (S,) weights; NaN counts as 0.
-    """
+    """Draw rollouts (S, T, 2) [m], those of great weight (S,) bold and on top; NaN weighs 0."""
     known = np.nan_to_num(weights)
     bold = STRONG_SHARE * known.max(initial=0.0)
     for index in np.argsort(known):
@@ -88,15 +75,9 @@ def draw_body(
 ) -> None:
     """Draw a robot, a rectangle or a disc, with an arrow in its heading.
 
-    A robot that is small in the picture is enlarged, and keeps its shape.
-
-    Args:
-        surface: transformation from world points to pixels.
-        draw: Pillow's drawing interface of the picture.
-        footprint: (4, 2) corners of a rectangle in its own frame [m]; (0, 2) of a disc.
-        radius: radius of the disc [m].
-        position: (2,) position of the robot [m].
-        heading: heading of the robot [rad]; if it is not finite, a disc without an arrow is drawn.
+    A robot that is small in the picture is enlarged, and keeps its shape. `footprint` has the
+    corners (4, 2) of a rectangle in the robot's own frame [m], or is (0, 2) for a disc with the
+    radius [m]. If the heading [rad] is not finite, a disc without an arrow is drawn.
     """
     middle, edge = surface.pixels(position), round(1.2 * surface.unit)
     reach = max(radius * surface.scale, LEAST_RADIUS * surface.unit)
@@ -124,14 +105,7 @@ def draw_body(
 def draw_star(
     surface: Surface, draw: ImageDraw.ImageDraw, middle: np.ndarray, colour: Colour
 ) -> None:
-    """Draw a target that is still to be found: a star with a white rim.
-
-    Args:
-        surface: transformation from world points to pixels; its unit is the size.
-        draw: Pillow's drawing interface of the picture.
-        middle: (2,) its middle in the picture [pixels].
-        colour: colour of the star.
-    """
+    """Draw a target that is still to be found, a star with a white rim, at a pixel (2,)."""
     star = STAR * surface.unit * _SPIKES
     draw.polygon(pairs(middle + 1.35 * star), PAPER)
     draw.polygon(pairs(middle + star), colour)
@@ -144,15 +118,7 @@ def draw_targets(
     is_found: np.ndarray,
     colour: Colour,
 ) -> None:
-    """Draw targets: a star until it is found, then a ring with a check mark.
-
-    Args:
-        surface: transformation from world points to pixels.
-        draw: Pillow's drawing interface of the picture.
-        targets: (M, 2) positions [m].
-        is_found: (M,) whether each was found.
-        colour: colour of the signs.
-    """
+    """Draw targets (M, 2) [m]: a star until it is found, then a ring with a check mark."""
     for middle, found in zip(surface.pixels(targets), is_found, strict=True):
         (draw_found if found else draw_star)(surface, draw, middle, colour)
 

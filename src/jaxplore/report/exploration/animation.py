@@ -62,11 +62,7 @@ def frame_image(
 ) -> Image.Image:
     """Draw one frame of a run, as in the animation.
 
-    Args:
-        recording: recording of the run.
-        frame: one of its frames.
-        width: width of the picture at scale 1 [pixels]; less for tall or small maps.
-        scale: factor on the size of the picture.
+    The width is that at scale 1 [pixels]; tall or small maps have less.
 
     Raises:
         ValueError: a width below 320 pixels.
@@ -75,12 +71,7 @@ def frame_image(
 
 
 def painter(recording: ExplorationData, scale: float) -> Callable[[ExplorationFrame], Image.Image]:
-    """Return a function that draws the frames of a run; what they share is computed once.
-
-    Args:
-        recording: recording of the run.
-        scale: factor on the size of the pictures.
-    """
+    """Return a function that draws the frames of a run; what they share is computed once."""
     return partial(_draw, make_canvas(recording, WIDTH, scale))
 
 
@@ -190,8 +181,7 @@ def _draw_tracks(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageD
 
 
 def _draw_dashes(canvas: Canvas, draw: ImageDraw.ImageDraw, points: np.ndarray) -> None:
-    """Draw the reference (R, 2) [m] dashed, so that it differs from the plan by more than its
-    colour."""
+    """Draw the reference (R, 2) [m] dashed: another colour than the plan's is not enough."""
     places = points[np.isfinite(points).all(axis=-1)].astype(np.float64)
     lengths = np.hypot(*np.diff(places, axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -210,14 +200,11 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 
 
 def shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
-    """Compute the palette that all frames share.
+    """Compute the palette that all frames share from a few pictures, all of one size.
 
-    Thin lines have few pixels, and a palette by frequency would lose their colours. These are
-    fixed, pure and blended with the background; the rest is computed from a few frames.
-
-    Args:
-        recording: recording of the run; elements that it does not have get no colour.
-        pictures: some of the frames, all of one size.
+    Thin lines have few pixels, and a palette by frequency would lose their colours. Their colours
+    are fixed, pure and blended with the background. The others are computed from the pictures. What
+    the recording does not have gets no colour.
     """
     lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, *lines]

@@ -18,10 +18,8 @@ MOST_RAYS = 45
 class Sheet:
     """The transformation from world points to a supersampled picture of a whole grid.
 
-    Args:
-        origin: pose of the grid [m, m, rad].
-        height: height of the grid [m].
-        scale: pixels of the supersampled picture per metre.
+    The grid has the pose `origin` [m, m, rad] and a height [m]. `scale` is the pixels of the
+    supersampled picture per metre.
     """
 
     unit: ClassVar[float] = float(SUPERSAMPLING)
@@ -53,21 +51,14 @@ def belief_picture(
 ) -> np.ndarray:
     """Draw the belief, the trail, the last scan, the targets and the robot (rows, columns, 3).
 
-    It is in 256 levels. As in the animation of a run, a target is a star until it is found, then a
-    ring with a check mark: a spectator sees the places of all targets.
+    The picture is in 256 levels. As in the animation of a run, a target is a star until it is
+    found, then a ring with a check mark: a spectator sees the places of all targets.
 
-    Args:
-        probability: (H, W) occupancy probability of the belief.
-        origin: pose of the grid [m, m, rad].
-        resolution: side of a cell [m].
-        path: (N, 2) past positions of the robot, the last row its present one [m].
-        heading: heading of the robot [rad].
-        radius: radius of the robot [m].
-        footprint: (4, 2) corners of a rectangle in the robot's frame [m]; (0, 2) of a disc.
-        scan: (B, 2) end points of the beams [m].
-        targets: (M, 2) positions of the targets [m].
-        is_found: (M,) whether each target was found.
-        width: width of the picture [pixels], rounded to a multiple of the width of a cell.
+    The grid of the belief (H, W) has the pose `origin` [m, m, rad] and cells of side `resolution`
+    [m]. `path` (N, 2) are past positions of the robot, the last row its present one [m].
+    `footprint` has the corners (4, 2) of a rectangle in the robot's frame [m], or is (0, 2) for a
+    disc. `scan` (B, 2) are the end points of the beams [m]. The width of the picture [pixels] is
+    rounded to a multiple of the width of a cell.
     """
     rows, columns = probability.shape
     side = max(1, round(width / columns))

@@ -73,12 +73,9 @@ class Canvas:
 
 
 def make_canvas(recording: ExplorationData, width: int, zoom: float) -> Canvas:
-    """Make the canvas of a recording.
+    """Make the canvas of a recording; `zoom` is the scale of the picture.
 
-    Args:
-        recording: recording of the run.
-        width: width of the picture [pixels of scale 1]; less for tall or small maps.
-        zoom: scale of the picture.
+    The width is in pixels of scale 1; tall or small maps have less.
 
     Raises:
         ValueError: a width below 320 pixels.

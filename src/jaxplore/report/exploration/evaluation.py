@@ -24,13 +24,7 @@ from jaxplore.report.motion import command_jerk, episodes
 
 
 def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> ExplorationMetrics:
-    """Compute the metrics of a run.
-
-    Args:
-        recording: recording of a run, finished or not; a run without a step has the metrics of its
-            start.
-        seed: seed of the run, stored with the metrics.
-    """
+    """Compute the metrics of a run, finished or not; without a step those of its start."""
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, coverage, entropy, path = progress(recording)
     # The coverage is float32, so the level is rounded in the same way before the comparison.

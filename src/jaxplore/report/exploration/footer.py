@@ -13,10 +13,7 @@ from jaxplore.report.exploration.progress import at_instants, is_known_map
 def draw_footer(canvas: Canvas, frame: ExplorationFrame, image: Image.Image) -> None:
     """Draw the main number and its curve, time, distance, targets, scale bar and legend.
 
-    Args:
-        canvas: canvas of the animation.
-        frame: frame to draw.
-        image: picture of the whole frame, whose lowest rows are drawn into.
+    They are drawn into the lowest rows of `image`, the picture of the whole frame.
     """
     time, _, _, path = canvas.progress
     step = min(frame.step, len(time) - 1)
@@ -34,8 +31,8 @@ def draw_footer(canvas: Canvas, frame: ExplorationFrame, image: Image.Image) -> 
 def _draw_judged(canvas: Canvas, frame: ExplorationFrame, footer: Footer, step: int) -> None:
     """Draw the quantity by which the task is judged: its value now and its curve.
 
-    It is the coverage, but if the map was known in advance, the idleness of a patrol, the targets
-    of a search, or the distance.
+    It is the coverage. If the map was known in advance, it is the number of targets found, without
+    targets the mean idleness, and without an idleness map the distance driven.
     """
     recording = canvas.recording
     time, coverage, _, path = canvas.progress

@@ -24,15 +24,9 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
     """Draw a map of the time since each reachable cell was seen, and its mean and worst over time.
 
     Cells that were never seen count from the start. The shaded first half of the run is not part of
-    the metrics.
-    A rotated map is drawn along its own axes. The function has more than 60 lines because both
-    panels share the figure's layout.
-
-    Args:
-        recording: recording of a robot with an idleness map.
-
-    Raises:
-        ValueError: a recording without idleness.
+    the metrics. A rotated map is drawn along its own axes. The function has more than 60 lines
+    because both panels share the figure's layout. A recording without idleness raises a
+    `ValueError`.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import ListedColormap

@@ -32,12 +32,7 @@ from jaxplore.report.exploration.progress import is_known_map
 
 
 def legend_entries(recording: ExplorationData, *, has_closed: bool) -> tuple[Entry, ...]:
-    """Return the entries of the legend.
-
-    Args:
-        recording: recording of the run.
-        has_closed: whether the picture shows untraversable ground.
-    """
+    """Return the legend's entries; `has_closed` is set if untraversable ground is drawn."""
     frames = recording.frames
     has_anomalies = recording.anomalies is not None and len(recording.anomalies.boxes) > 0
     entries = (

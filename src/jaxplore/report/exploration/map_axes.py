@@ -18,25 +18,14 @@ LONGEST_SIDE = 9.0
 
 
 def map_inches(window: Window, least: float = 3.2) -> tuple[float, float]:
-    """Return the width and height of a map in a figure [inches].
-
-    Args:
-        window: the part of the map that is drawn.
-        least: least width, so that a legend fits below.
-    """
+    """Return the width and height of a map [inches], at least `least` wide for a legend below."""
     size = np.asarray(window.size)
     width, height = np.clip(LONGEST_SIDE * size / size.max(), [least, 2.0], LONGEST_SIDE)
     return float(width), float(height)
 
 
 def map_figure_axes(width: float, height: float, window: Window) -> tuple["Figure", "Axes"]:
-    """Return a new figure with the axes of a map.
-
-    Args:
-        width: width of the figure [inches].
-        height: its height [inches].
-        window: the part of the map that is drawn.
-    """
+    """Return a new figure of a width and height [inches], with the axes of a map."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -51,10 +40,6 @@ def frame_map(axes: "Axes", window: Window) -> None:
     """Give axes the limits, the labels and the scale bar of a map.
 
     The axes are the world's, or the grid's own if it is rotated.
-
-    Args:
-        axes: axes without limits.
-        window: the part of the map that is drawn.
     """
     left, right, bottom, top = window.extent
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
@@ -65,24 +50,12 @@ def frame_map(axes: "Axes", window: Window) -> None:
 
 
 def show_cells(axes: "Axes", window: Window, colours: np.ndarray) -> None:
-    """Draw the cells of a window.
-
-    Args:
-        axes: axes of the map.
-        window: the part of the map that is drawn.
-        colours: colours (rows, columns, 3) of its cells.
-    """
+    """Draw the cells of a window in their colours (rows, columns, 3)."""
     axes.imshow(colours, extent=window.extent, origin="lower", interpolation="nearest")
 
 
 def add_outline(axes: "Axes", recording: MapData, window: Window) -> None:
-    """Draw the outline of the true free space, with an entry of the legend.
-
-    Args:
-        axes: axes of the map.
-        recording: recording of the run.
-        window: the part of the map that is drawn.
-    """
+    """Draw the outline of the true free space, with an entry of the legend."""
     from matplotlib.collections import LineCollection
 
     outline = true_outline(recording, window) + window.corner
@@ -97,12 +70,8 @@ def true_outline(
 ) -> np.ndarray:
     """Return the edges (N, 2, 2) between solid cells and the free space around the reachable cells.
 
-    They are in metres from the window's corner, along the grid's axes.
-
-    Args:
-        recording: recording of the run.
-        window: the part of the map that is drawn.
-        beside: (H, W) cells of the map, of which one must be at an edge; any edge when absent.
+    They are in metres from the window's corner, along the grid's axes. With `beside` (H, W), an
+    edge must be at one of these cells of the map.
     """
     import scipy.ndimage  # slow to import, and few need it
 

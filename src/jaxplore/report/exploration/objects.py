@@ -114,11 +114,10 @@ def object_metrics(objects: ObjectData | None) -> dict[str, Any]:
 def object_rows(
     labels: list[dict[str, Any]] | None, counts: tuple[int, int, int, int]
 ) -> list[tuple[str, str]]:
-    """Return the metrics of the objects as (name, text), for tables.
+    """Return the metrics of the objects as (name, text), for tables; none without a detector.
 
-    Args:
-        labels: the reports; None without a detector.
-        counts: number of objects, of those that were detected, of false reports, of other mistakes.
+    The counts are those of all objects, of the detected ones, of false reports of a target, and of
+    other mistakes.
     """
     if labels is None:
         return []

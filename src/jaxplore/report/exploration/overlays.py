@@ -136,8 +136,7 @@ def add_targets(axes: "Axes", recording: ExplorationData, window: Window) -> Non
 
 
 def add_moving_obstacles(axes: "Axes", recording: ExplorationData, window: Window) -> None:
-    """Draw the last positions of the moving obstacles, and faintly their positions in the
-    frames."""
+    """Draw the last positions of the moving obstacles, and faintly those in the frames."""
     from matplotlib.patches import Circle
 
     if not len(recording.mover_radii):

@@ -42,25 +42,16 @@ def carried_steps(recording: ExplorationData) -> np.ndarray:
 
 
 def at_instants(values: ArrayLike, initial: float) -> np.ndarray:
-    """Extend the values of N steps to N + 1 instants by repeating the last one.
-
-    Args:
-        values: (N,) values measured at the beginning of each step.
-        initial: value of a run without a step.
-    """
+    """Repeat the last of N values for N + 1 instants; take `initial` if there are no steps."""
     rows = np.asarray(values)
     return np.append(rows, rows[-1:] if len(rows) else [initial])
 
 
 def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
-    """Return the number of steps of the longest stall.
+    """Return the number of steps of the longest stall, of N + 1 positions [m] and coverages.
 
     One pass with a sliding window: the later end advances, the earlier one follows as needed.
     Four monotonic queues keep the window's extremes, so the whole pass is O(N).
-
-    Args:
-        positions: (N + 1, 2) positions of the robot [m].
-        coverage: (N + 1,) coverage at the same instants.
     """
     # Noise can lower the coverage, and a return to a former value is no rise.
     best = np.maximum.accumulate(coverage).tolist()

@@ -36,11 +36,8 @@ class MapData(Protocol):
 class Window:
     """The part of a grid that is drawn; it may reach beyond the grid.
 
-    Args:
-        first: row and column of its first cell.
-        shape: number of rows and columns.
-        origin: pose of the grid [m, m, rad].
-        resolution: side of a cell [m].
+    `first` is the row and column of its first cell, and `shape` its number of rows and columns. The
+    grid has the pose `origin` [m, m, rad] and cells of side `resolution` [m].
     """
 
     first: tuple[int, int]
@@ -50,8 +47,7 @@ class Window:
 
     @classmethod
     def around_reachable(cls, recording: MapData) -> "Window":
-        """Return the bounding box of the reachable cells and a margin; the whole grid without
-        any."""
+        """Return the box of the reachable cells, or of the grid without any, and a margin."""
         cells = recording.reachable
         rows, columns = np.nonzero(cells if cells.any() else np.ones_like(cells, bool))
         margin = round(MARGIN / recording.resolution)
@@ -104,6 +100,5 @@ class Window:
         return cropped
 
     def place(self, points: np.ndarray) -> np.ndarray:
-        """Transform world points (..., 2) to metres from the window's corner along the grid's
-        axes."""
+        """Transform world points (..., 2) to metres from the window's corner on the grid's axes."""
         return to_frame(points, self.origin) - np.asarray(self.first[::-1]) * self.resolution

@@ -40,18 +40,11 @@ middle level within which it is unknown."""
 class Canvas:
     """The parts of an animation that are the same in every frame.
 
-    Args:
-        data: the run.
-        window: the part of the map that is drawn.
-        size: columns and rows of the map in the picture [pixels].
-        left: first column of the map in the picture.
-        width: width of the picture [pixels].
-        scale: supersampled pixels per metre.
-        zoom: scale of the picture.
-        cells: row and column of the cell that each pixel of the map shows.
-        walls: true walls of the window.
-        time: times of the run [s].
-        lengths: distance that all robots had driven at these times [m].
+    `size` is the columns and rows of the map in the picture, `left` its first column and `width`
+    that of the picture [pixels]; `scale` is the supersampled pixels per metre, and `zoom` the scale
+    of the picture. `cells` are the row and column of the cell that each pixel of the map shows, and
+    `walls` the true walls of the window. `lengths` is the distance that all robots had driven [m]
+    at each `time` [s].
     """
 
     data: FleetData
@@ -96,12 +89,7 @@ def frame_image(data: FleetData, frame: FleetFrame, scale: float) -> Image.Image
 
 
 def shared_palette(data: FleetData, pictures: Sequence[Image.Image]) -> Image.Image:
-    """Compute the palette that all frames share, with the colours of the robots.
-
-    Args:
-        data: the run.
-        pictures: some of the frames, all of one size.
-    """
+    """Compute the palette that all frames share from some of them, with the robots' colours."""
     lines: list[Colour] = [robot_colour(i) for i in range(min(data.num_robots, len(SERIES)))]
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, TRAIL, LINK]
     given += lines

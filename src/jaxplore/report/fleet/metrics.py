@@ -104,12 +104,7 @@ class FleetMetrics(Metrics):
 
 
 def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics:
-    """Compute the metrics of an exploration by a fleet.
-
-    Args:
-        data: the run; one without a step has the metrics of its start.
-        seed: seed of the run.
-    """
+    """Compute the metrics of a run; without a step those of its start."""
     records, period = data.records, data.control_period
     coverage, path = data.coverage, data.lengths.sum(axis=0)
     # The last entry repeats the one before: nothing was measured after the last step.

@@ -48,11 +48,8 @@ DASH = 6.0
 class View:
     """The part of the ground that a frame shows.
 
-    Args:
-        corner: (2,) lower left corner [m].
-        scale: supersampled pixels per metre.
-        unit: supersampled pixels per pixel of scale 1.
-        size: number of columns and rows of the supersampled map.
+    `corner` (2,) is its lower left one [m]. `scale` is the supersampled pixels per metre, and
+    `unit` those per pixel of scale 1. `size` is the columns and rows of the supersampled map.
     """
 
     corner: np.ndarray
@@ -77,11 +74,10 @@ class View:
 class PathCanvas:
     """The parts of an animation that are the same in every frame.
 
-    `zoom` is the scale of the picture, `scale` the supersampled pixels per metre, `size` the number
-    of columns and rows of the supersampled map;
-    `low` and `high` (2,) are the corners of the whole course [m], `dashes` (D, 3, 2) points of the
-    path's [m], `contacts` the steps that were deepest in an obstacle; `course` is the ground, where
-    the view stays the same.
+    `zoom` is the scale of the picture, `scale` the supersampled pixels per metre, and `size` the
+    number of columns and rows of the supersampled map. `low` and `high` (2,) are the corners of the
+    whole course [m], `dashes` (D, 3, 2) the points of the path's dashes [m], and `contacts` the
+    steps that were deepest in an obstacle. `course` is the ground, where the view stays the same.
     """
 
     recording: PathData
@@ -128,12 +124,7 @@ def path_frame_image(
     """Draw one frame of a path-following run, as in the animation.
 
     It shows the whole course, or, if the robot would be too small, a view that follows the robot.
-
-    Args:
-        recording: recording of the run.
-        frame: one of its frames.
-        side: the longer one of the course at scale 1 [pixels].
-        scale: factor on the size of the picture.
+    `side` is the longer side of the picture of the course at scale 1 [pixels].
 
     Raises:
         ValueError: a side below 320 pixels.
@@ -142,12 +133,7 @@ def path_frame_image(
 
 
 def path_painter(recording: PathData, scale: float) -> Callable[[PathFrame], Image.Image]:
-    """Return a function that draws the frames of a run; what they share is computed once.
-
-    Args:
-        recording: recording of the run.
-        scale: factor on the size of the pictures.
-    """
+    """Return a function that draws the frames of a run; what they share is computed once."""
     return partial(_draw, _make_canvas(recording, WIDTH, scale))
 
 

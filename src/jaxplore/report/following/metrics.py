@@ -159,12 +159,7 @@ class PathMetrics(Metrics):
 
 
 def compute_path_metrics(recording: PathData, *, seed: int | None = None) -> PathMetrics:
-    """Compute the metrics of a path-following run.
-
-    Args:
-        recording: recording of a run, finished or not, also without a step.
-        seed: seed of the run, stored with the metrics.
-    """
+    """Compute the metrics of a path-following run, finished or not, also without a step."""
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, progress = recording.time, recording.progress
     way, speed = float(progress[-1] - progress[0]), speeds(recording)[1:]

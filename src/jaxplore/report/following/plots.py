@@ -46,8 +46,7 @@ LEAST_LAP = 0.09
 
 
 def course_box(recording: PathData) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners (2,), (2,) of the bounding box of path, corridor and trail, and a margin
-    [m]."""
+    """Return the bounding box of path, corridor and trail, and a margin: two corners (2,) [m]."""
     reach = max(recording.robot_radius, float(np.max(np.abs(recording.footprint), initial=0.0)))
     trail = recording.positions.astype(np.float64)
     drawn = [recording.centre, *recording.edges, trail - reach, trail + reach]
@@ -61,11 +60,7 @@ def course_box(recording: PathData) -> tuple[np.ndarray, np.ndarray]:
 
 
 def worst_steps(margins: ArrayLike) -> np.ndarray:
-    """Return the index of the least margin in each interval of successive negative margins.
-
-    Args:
-        margins: (N,) margin after each step [m].
-    """
+    """Return the step of the least margin in each interval of successive negative margins (N,)."""
     values = np.asarray(margins, np.float64)
     below = np.concatenate([[False], values < 0.0, [False]]).astype(int)
     changes = np.flatnonzero(np.diff(below)).tolist()
@@ -201,14 +196,11 @@ def _add_obstacles(axes: "Axes", recording: PathData) -> None:
 
 
 def thick_outline(corners: np.ndarray, radius: float) -> "Path":
-    """Return the outline of a polygon inflated by a radius, as counterclockwise pieces.
+    """Return the outline of a polygon inflated by a radius [m], as counterclockwise pieces.
 
     Filled by the nonzero rule they give their union: the polygon, a strip along each of its edges
-    and a disc around each of its corners.
-
-    Args:
-        corners: (V, 2) corners in order, in either direction [m]; a single corner gives a disc.
-        radius: radius of the discs [m].
+    and a disc around each of its corners. The corners (V, 2) are in order, in either direction [m];
+    a single corner gives a disc.
     """
     from matplotlib.path import Path
 

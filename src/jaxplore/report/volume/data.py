@@ -163,12 +163,7 @@ LEVELS = (50, 90, 95, 99)
 
 
 def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> VolumeMetrics:
-    """Compute the metrics of an exploration of a volume.
-
-    Args:
-        data: the run; one without a step has the metrics of its start.
-        seed: seed of the run.
-    """
+    """Compute the metrics of a run; without a step those of its start."""
     records, period = data.records, data.control_period
     coverage = np.concatenate([[data.initial_coverage], records.coverage]).astype(np.float64)
     steps = np.linalg.norm(np.diff(data.positions, axis=0), axis=1)

@@ -23,11 +23,8 @@ def surface(
 ) -> np.ndarray:
     """Return the voxels (N, 3) as (k, j, i) that are drawn: occupied ones below the ceiling.
 
-    Args:
-        occupied: (D, H, W) occupied voxels.
-        free: (D, H, W) free voxels. With it, only those are drawn that have a free neighbour above
-            or beside them.
-        most: greatest number of voxels; of more, evenly chosen ones are returned.
+    With the free voxels (D, H, W), only those are drawn that have a free neighbour above or beside
+    them. Of more than `most`, evenly chosen ones are returned.
     """
     shown = occupied.copy()
     if free is not None:
@@ -52,11 +49,8 @@ def height_colours(heights: np.ndarray, low: float, high: float) -> Colours:
 class SpacePicture:
     """Draws a box in space from any side, in parallel projection, all sides at one scale.
 
-    Args:
-        low: lowest corner (x, y, z) of the box [m].
-        high: highest corner [m].
-        width: width of the pictures [pixels].
-        elevation: angle of the view above the horizon [rad].
+    `low` and `high` are the lowest and the highest corner (x, y, z) of the box [m]. `width` is that
+    of the pictures [pixels], and `elevation` the angle of the view above the horizon [rad].
     """
 
     def __init__(
@@ -73,9 +67,7 @@ class SpacePicture:
     def project(self, points: np.ndarray, azimuth: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (N, 2) of points (N, 3) [m], and how near to the viewer each is [m].
 
-        Args:
-            points: the points.
-            azimuth: direction in which the viewer looks, around the vertical axis [rad].
+        `azimuth` is the direction in which the viewer looks, around the vertical axis [rad].
         """
         x, y, z = (points - self._middle).T
         right = math.sin(azimuth) * x - math.cos(azimuth) * y
@@ -93,15 +85,11 @@ class SpacePicture:
         azimuth: float,
         plan: np.ndarray | None = None,
     ) -> Image.Image:
-        """Draw voxels, the farthest first, and over them the path of the robot.
+        """Draw voxels, the farthest first, and over them the path and the plan of the robot.
 
-        Args:
-            points: (N, 3) middles of the voxels [m].
-            colours: (N, 3) their colours.
-            side: side of a voxel [m].
-            path: (M, 3) positions of the robot [m].
-            azimuth: direction in which the viewer looks [rad].
-            plan: (T, 3) positions of the plan [m]; none when absent.
+        The points (N, 3) are the middles of the voxels [m], and `side` is that of a voxel [m]. The
+        path (M, 3) and the plan (T, 3) are positions [m]. The viewer looks in the direction
+        `azimuth` [rad].
         """
         width, height = self.size
         image = np.full((height, width, 3), 255, np.uint8)

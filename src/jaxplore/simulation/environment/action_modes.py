@@ -198,10 +198,8 @@ class Hold(Controller):
 class WaypointController(Controller):
     """Wrapper of a controller that adds a cost to go to the belief.
 
-    Args:
-        drive: wrapped controller.
-        way: cost to go to the waypoint [m], which replaces `Belief.to_goal`.
-        waypoint: position (x, y) of the waypoint [m], which replaces `Belief.goal`.
+    `way` is the cost to go to the waypoint [m], which replaces `Belief.to_goal`. `waypoint` is its
+    position (x, y) [m], which replaces `Belief.goal`.
     """
 
     drive: Controller

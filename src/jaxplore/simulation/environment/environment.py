@@ -29,11 +29,9 @@ from jaxplore.simulation.state import LoopState, Moment
 class EpisodeStatistics(NamedTuple):
     """Statistics of an episode so far.
 
-    Args:
-        path_length: distance travelled [m].
-        collisions: number of contacts; successive steps count once.
-        collision_steps: number of control periods in contact.
-        is_contact: whether the last control period was in contact.
+    `path_length` is the distance travelled [m]. `collisions` is the number of contacts; successive
+    steps count once. `collision_steps` is the number of control periods in contact. `is_contact`
+    says whether the last control period was in contact.
     """
 
     path_length: Scalar

@@ -27,17 +27,10 @@ WHOLE_MAP = 100.0
 class ExplorationView(AgentView):
     """Exploration as an agent sees it: the belief in, the information gained out.
 
-    Args:
-        scenario: the task.
-        view_cells: side of the observed square of the map around the robot [cells]; the whole map
-            when absent; static.
-        frame: frame of the map.
-        map_shape: rows and columns of the map; static.
-        sensors: the robot's sensors.
-        num_reachable: number of cells that the robot's centre can reach.
-        hover_steps: number of steps that are simulated after the end.
-        targets: (M, 2) positions of the targets [m].
-        has_goal: whether the robot must end at a goal; static.
+    `view_cells` is the side of the observed square of the map around the robot [cells]; None for
+    the whole map. `map_shape` are the map's rows and columns, and `num_reachable` is the number of
+    cells that the robot's centre can reach. `hover_steps` steps are simulated after the end.
+    `targets` are positions (M, 2) [m]. `has_goal` says whether the robot must end at a goal.
     """
 
     frame: GridFrame

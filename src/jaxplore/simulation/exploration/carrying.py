@@ -21,17 +21,7 @@ _CARRYING = 2**31 + 5
 def check_carrying(
     faults: Faults | None, world: OccupancyGrid, reachable: GridMask, datum: Datum
 ) -> None:
-    """Check that the robot is carried to where it fits.
-
-    Args:
-        faults: injected faults.
-        world: true map.
-        reachable: (H, W) cells that the robot's centre can reach.
-        datum: point of the map's coordinates to which positions are relative.
-
-    Raises:
-        ValueError: a pose off the map or in a cell that the robot cannot reach.
-    """
+    """Raise a `ValueError` if the robot is carried off the map or to a cell out of its reach."""
     if faults is None or faults.carried_to is None:
         return
     row, column = np.asarray(world.frame.to_cell(faults.carried_to[:2])).tolist()
@@ -48,13 +38,8 @@ def landing(
 ) -> Pose | None:
     """Return the pose (x, y, yaw) at which the robot will be put down; None if it is not carried.
 
-    Without a given pose it is uniform over the centres of the reachable cells and all yaws.
-
-    Args:
-        faults: injected faults.
-        reachable: (H, W) cells that the robot's centre can reach.
-        frame: pose and cell size of the map.
-        key: random key of the run.
+    Without a given pose it is uniform over the centres of the reachable cells and all yaws, by the
+    random key of the run.
     """
     if faults is None or faults.carried_at is None:
         return None
@@ -74,14 +59,9 @@ def landing(
 def carried(
     record: ExplorationRecord, robot: Dynamics, rest: StateVector, pose: Pose, is_carried: Flag
 ) -> ExplorationRecord:
-    """Return the record of a step at whose end the robot may be carried away.
+    """Return the record of a step, with the robot at rest at `pose` if it is carried at its end.
 
-    Args:
-        record: the record.
-        robot: model of the robot.
-        rest: (nx,) state of the robot at rest somewhere.
-        pose: pose at which it is put down.
-        is_carried: whether it is.
+    `rest` (nx,) is a state of the robot at rest at any pose.
     """
     there = robot.with_pose(rest, pose)
     return record._replace(state=jnp.where(is_carried, there, record.state), is_carried=is_carried)

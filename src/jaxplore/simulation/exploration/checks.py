@@ -37,19 +37,7 @@ def check_goal(
     radius: float,
     datum: Datum,
 ) -> None:
-    """Check that a goal is in free space where the robot can get.
-
-    Args:
-        goal: goal position (x, y) [m].
-        world: true map.
-        robot: true model of the robot.
-        reachable: (H, W) cells that the robot's centre can reach.
-        radius: distance at which the goal counts as reached [m].
-        datum: point of the map's coordinates to which positions are relative.
-
-    Raises:
-        ValueError: a goal off the map or in a wall; no reachable cell within the radius.
-    """
+    """Check that a goal is in free space, and within `radius` [m] of a reachable cell's centre."""
     if float(probability_at(world, goal)) >= FREE_THRESHOLD:
         raise ValueError(f"goal is {datum.shown(goal).tolist()}; accepted: a place in free space")
     centres = np.argwhere(np.asarray(reachable)) + 0.5
@@ -66,11 +54,7 @@ def check_goal(
 def checked_targets(
     targets: Rows | None, world: OccupancyGrid, datum: Datum
 ) -> Float[Array, "M 2"]:
-    """Check that targets are in free space, and return them (M, 2); M = 0 when absent.
-
-    Raises:
-        ValueError: another shape; a target that is not in free space.
-    """
+    """Check that targets are in free space, and return them (M, 2); M = 0 when absent."""
     if targets is None:
         return on_device(np.zeros((0, 2), np.float32))
     given = _checks.floats("targets", targets, "(M, 2) with M >= 1")
@@ -81,11 +65,7 @@ def checked_targets(
 
 
 def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid, datum: Datum) -> None:
-    """Check that positions (M, 2) relative to a datum are in free space [m].
-
-    Raises:
-        ValueError: one that is not.
-    """
+    """Check that positions (M, 2) [m], relative to a datum, are in free space."""
     for index, spot in enumerate(spots):
         if (
             not np.isfinite(spot).all()
@@ -97,14 +77,10 @@ def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid, datum: Datum
 
 
 def checked_unknown(max_unknown: ArrayLike | None, *, is_apart: bool) -> Scalar:
-    """Check the share of unknown cells below which a map is explored, or choose it.
+    """Check the share of unknown cells in [0, 1] below which a map is explored, or choose it.
 
-    Args:
-        max_unknown: the share; chosen when absent.
-        is_apart: whether the goal has a cost-to-go of its own.
-
-    Raises:
-        ValueError: a share outside [0, 1].
+    When absent, it is 1 if the goal has a cost-to-go of its own (`is_apart`), or else
+    `MAX_UNKNOWN`.
     """
     if max_unknown is None:
         max_unknown = 1.0 if is_apart else MAX_UNKNOWN
@@ -112,27 +88,14 @@ def checked_unknown(max_unknown: ArrayLike | None, *, is_apart: bool) -> Scalar:
 
 
 def checked_coverage(target_coverage: ArrayLike | None) -> Scalar:
-    """Check a target coverage; when absent, return a value that coverage never reaches.
-
-    Raises:
-        ValueError: a coverage outside (0, 1].
-    """
+    """Check a target coverage in (0, 1]; when absent, return one that coverage never reaches."""
     if target_coverage is None:
         return on_device(np.asarray(2.0, np.float32))
     return _checks.scalar("target_coverage", target_coverage, above=0.0, at_most=1.0)
 
 
 def start_state(robot: Dynamics, pose: np.ndarray, altitude: float) -> StateVector:
-    """Return the state (nx,) at rest at a pose, and at an altitude if the robot has one.
-
-    Args:
-        robot: model of the robot.
-        pose: pose (x, y, yaw) [m, m, rad].
-        altitude: z of the position [m].
-
-    Raises:
-        ValueError: an altitude that is not finite.
-    """
+    """Return the state (nx,) at rest at a pose, and at an altitude [m] if the robot has one."""
     state = robot.at_pose(*(float(value) for value in pose))
     height = _checks.number("altitude", altitude)
     if "z" not in robot.state_names:
@@ -153,18 +116,8 @@ def checked_perception(
 ) -> Perception:
     """Check that a perception was made for a scenario, or make it when absent.
 
-    Args:
-        perception: the perception; made when absent.
-        sensors: sensors of the scenario.
-        world: true map.
-        robot: model of the robot.
-        ground: ground of the map's cells; None if it is level.
-        check: check of the goal; None without one.
-        max_unknown: share of unknown cells below which the map is explored.
-        is_localising: whether the robot estimates its pose.
-
-    Raises:
-        ValueError: another goal or heading there, range, resolution or ground.
+    Its goal and heading, ranges, resolution and ground must be those of the scenario. `robot`,
+    `max_unknown` and `is_localising` are only read to make one.
     """
     goal, heading = (None, None) if check is None else (check.position, check.heading)
     if perception is None:
@@ -204,11 +157,7 @@ def checked_perception(
 
 
 def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid, datum: Datum) -> OccupancyGrid:
-    """Check that a prior map has the cells of the world; when absent, return an unknown map.
-
-    Raises:
-        ValueError: another shape, origin or resolution.
-    """
+    """Check that a prior map has the cells of the world; when absent, return an unknown map."""
     if prior is None:
         return OccupancyGrid.unknown(world.cropped(world.probability).shape, world.frame)
     _check_shape("prior", prior.cropped(prior.probability).shape, world)
@@ -223,11 +172,7 @@ def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid, datum: Datu
 
 
 def checked_faults(faults: Faults | None, world: OccupancyGrid) -> Faults | None:
-    """Check that walls that appear have the shape of the world.
-
-    Raises:
-        ValueError: another shape.
-    """
+    """Check that walls that appear have the shape of the world, and return the faults."""
     if faults is not None and faults.walls is not None:
         _check_shape("walls", faults.walls.shape, world)
     return faults

@@ -27,10 +27,6 @@ def default_give_up_after(world: OccupancyGrid, robot: Dynamics) -> float:
 
     It is `PATIENCE + 2 L / v`: the robot may drive the diagonal L of the map twice at its greatest
     speed v before it sees something new. A model without a greatest speed counts as 1 m/s.
-
-    Args:
-        world: the true map.
-        robot: model of the robot.
     """
     bound = bound_of_speed(robot)
     speed = 1.0 if bound is None else float(bound)
@@ -38,25 +34,18 @@ def default_give_up_after(world: OccupancyGrid, robot: Dynamics) -> float:
 
 
 def has_coverage_target(target_coverage: Scalar) -> Flag:
-    """Check whether there is a target coverage: one above 1, which none reaches, stands for none.
-
-    Args:
-        target_coverage: share of the reachable cells that must be known.
-    """
+    """Check for a target coverage; one above 1, which no run reaches, stands for none."""
     return target_coverage <= 1.0
 
 
 def chosen_target(target: str | None, *, has_coverage: bool, is_patrol: bool) -> str:
-    """Return what an exploration ends by; chosen when absent.
+    """Return what an exploration ends by, one of `TARGETS`; chosen when absent.
 
-    Args:
-        target: one of `TARGETS`; None for the target coverage if there is one, or else for what the
-            robot can learn, or for nothing on a patrol.
-        has_coverage: whether there is a target coverage.
-        is_patrol: whether all must be seen again and again.
+    The choice is the target coverage if there is one. Otherwise it is nothing on a patrol, where
+    all must be seen again and again, and else what the robot can learn.
 
     Raises:
-        ValueError: another word; a coverage that is none.
+        ValueError: another word; a target that needs a target coverage, without one.
     """
     if target is None:
         return "coverage" if has_coverage else NEVER if is_patrol else "information"
@@ -82,15 +71,10 @@ def is_finished(
 ) -> Flag:
     """Check whether an exploration is finished; see `ExplorationScenario`.
 
-    Args:
-        progress: statistics of the known map.
-        is_seen: (M,) whether each target has been seen; with M = 0 the coverage counts instead.
-        target: what the exploration ends by, an index into `TARGETS`.
-        target_coverage: share of the reachable cells, or of the walls, that must be known.
-        known: what the robot knows of what is left.
-        is_there: whether the goal is reached; None without a goal.
-        max_unknown: share of unknown cells below which the map is explored; only with a goal.
-        counts_walls: whether the target is the walls, whose share is counted then; static.
+    `target` is what it ends by, an index into `TARGETS`. With M > 0 targets, `is_seen` (M,) counts
+    instead. `target_coverage` is a share of the reachable cells, or of the walls if `counts_walls`,
+    which is static. `is_there` says whether the goal is reached; None without a goal. `max_unknown`
+    is the share of unknown cells below which the map is explored; it counts only with a goal.
     """
     has_targets = is_seen.shape[0] > 0
     is_done = known.idle >= DONE_AFTER
@@ -110,13 +94,7 @@ def is_finished(
 
 
 def default_objective(num_targets: int, goal: Position | None, target: str) -> str:
-    """Return the default objective: time to the end, or the idleness of a patrol, plus contacts.
-
-    Args:
-        num_targets: number of targets.
-        goal: goal position (x, y) [m]; None without one.
-        target: what the exploration ends by.
-    """
+    """Return the default objective: time to the end, or the idleness of a patrol, plus contacts."""
     if num_targets:
         return "last_target_at + 100*collisions"
     if goal is None and target == NEVER:

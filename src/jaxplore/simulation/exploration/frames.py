@@ -28,15 +28,9 @@ def frame_arrays(
 ) -> dict[str, Any]:
     """Return the arrays of an `ExplorationFrame`, by field.
 
-    Args:
-        robot: model of the robot.
-        sensor: sensor of the scan.
-        state: (nx,) state of the robot.
-        belief: what it knows.
-        is_seen: (M,) whether each target has been found.
-        scan: scan from the robot's true pose.
-        movers: (x, y, radius) of each moving obstacle [m]; None without any.
-        plan: sampled plan of the controller; None to show none.
+    The scan is from the robot's true pose. `is_seen` (M,) says which targets have been found.
+    `movers` are (x, y, radius) of each moving obstacle [m]; None without any. Without `plan`, none
+    is shown.
     """
     pose = robot.pose(state)
     angles = pose[2] + jnp.asarray(sensor.beam_angles)
@@ -83,10 +77,7 @@ def frame_arrays(
 def cropped_frame(arrays: Mapping[str, Any], world: OccupancyGrid, stride: int) -> dict[str, Any]:
     """Return the arrays of a frame, those with the shape of the map without the cells beside it.
 
-    Args:
-        arrays: arrays of an `ExplorationFrame`, by field.
-        world: true map, in arrays of the same shape.
-        stride: number of cells between the nodes of the information field.
+    `stride` is the number of cells between the nodes of the information field.
     """
     rows, columns = world.cropped(arrays["probability"]).shape
     nodes = -(-rows // stride), -(-columns // stride)

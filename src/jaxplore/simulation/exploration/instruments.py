@@ -23,12 +23,8 @@ from jaxplore.simulation.state import Moment
 class Instruments(NamedTuple):
     """Turns the truth into what a robot is given of it.
 
-    Args:
-        onboard: the robot, with its sensors.
-        rates: when it scans and derives its fields.
-        objects: objects that it recognises; None without any.
-        tracking_noise: standard deviations of the positions [m] and velocities [m/s] of moving
-            obstacles of which it is told.
+    `objects` are those that it recognises; None without any. `tracking_noise` are standard
+    deviations of the positions [m] and velocities [m/s] of moving obstacles of which it is told.
     """
 
     onboard: Robot
@@ -48,14 +44,8 @@ class Instruments(NamedTuple):
         """Return what the robot measures, and the ranges of its newest scans (B,) [m].
 
         Odometry faults are in the observed state of the moment: the scan is taken at the true pose
-        and mapped at the observed one, so they distort the map.
-
-        Args:
-            state: state of the task before.
-            truth: the true world at the moment.
-            moment: time, step and observed state of the robot.
-            key: random key of the step's measurements.
-            is_told: whether a robot that finds no moving obstacles itself is told of them; static.
+        and mapped at the observed one, so they distort the map. `is_told` says whether a robot that
+        finds no moving obstacles itself is told of them; static.
         """
         robot, rates, objects = self.onboard, self.rates, self.objects
         pose, sensors, recognition = (
@@ -106,12 +96,7 @@ class Instruments(NamedTuple):
         return measured, ranges
 
     def scan_motion(self, state: ExplorationState, moment: Moment) -> ScanMotion | None:
-        """Return the motion of the robot during a scan; None if no lidar turns.
-
-        Args:
-            state: state of the task.
-            moment: time, step and observed state of the robot.
-        """
+        """Return the motion of the robot during a scan; None if no lidar turns."""
         if state.control is None:
             return None
         model = self.onboard.model

@@ -29,11 +29,9 @@ from jaxplore.simulation.exploration.progress import MapSums, map_progress
 class TrueTrack(NamedTuple):
     """Where a robot that does not know its pose was, and what its scans give there.
 
-    Args:
-        true_poses: (K, 3) true poses of the stored scans.
-        reckoned: pose by the odometry alone.
-        reckoned_poses: (K, 3) poses of the stored scans by the odometry alone.
-        reference: (H, W) map that the same scans give at the true poses.
+    `true_poses` (K, 3) are those of the stored scans, and `reckoned_poses` (K, 3) the same by the
+    odometry alone. `reckoned` is the present pose by the odometry alone. `reference` (H, W) is the
+    map that the same scans give at the true poses.
     """
 
     true_poses: Float[Array, "K 3"]
@@ -43,13 +41,7 @@ class TrueTrack(NamedTuple):
 
     @classmethod
     def at_start(cls, pose: Pose, place: PoseKnowledge, grid: OccupancyGrid) -> "TrueTrack":
-        """Return the track before the first scan.
-
-        Args:
-            pose: pose at the start [m, m, rad].
-            place: what the robot knows of it.
-            grid: its map.
-        """
+        """Return the track before the first scan, from the true pose at the start [m, m, rad]."""
         poses = place.known.scans.poses
         return cls(poses, pose, poses, grid.probability)
 
@@ -58,12 +50,10 @@ class TrueTrack(NamedTuple):
         return self._replace(reckoned=compose(self.reckoned, motion))
 
     def after_scans(self, before: PoseKnowledge, after: PoseKnowledge, pose: Pose) -> "TrueTrack":
-        """Return the track with the poses of a scan that was stored.
+        """Return the track with the poses of a scan, true and reckoned, if the robot stored it.
 
-        Args:
-            before: what the robot knew of its pose before the scans.
-            after: what it knows after them.
-            pose: its true pose.
+        `pose` is its true pose. `before` and `after` are what the robot knew of its pose before and
+        after the scans.
         """
         scans = after.known.scans
         at = jnp.where(scans.number > before.known.scans.number, scans.last, scans.capacity)
@@ -73,12 +63,7 @@ class TrueTrack(NamedTuple):
         )
 
     def data(self, place: PoseKnowledge, grid: OccupancyGrid) -> LocalisationData:
-        """Return what the report shows of the localisation.
-
-        Args:
-            place: what the robot knows of its pose at the end.
-            grid: its map, with its frame.
-        """
+        """Return what the report shows of the localisation, from the knowledge at the end."""
         known, scans = place.known, place.known.scans
         number = int(scans.number)
         return LocalisationData(
@@ -102,12 +87,10 @@ def thin(track: TrueTrack) -> TrueTrack:
 class Judged(NamedTuple):
     """What the record says of a robot's knowledge.
 
-    Args:
-        sums: sums over the cells of its map, as of the last map update; of the map that its scans
-            give at their true poses if it does not know its pose.
-        progress: statistics of that map, likewise.
-        is_seen: (M,) whether each target has been found: seen, or recognised by a detector.
-        track: where it was; None if it knows its pose.
+    `sums` and `progress` are those of its map, as of the last map update. If the robot does not
+    know its pose, they are those of the map that its scans give at their true poses, and `track` is
+    where it was; None otherwise. `is_seen` (M,) says whether each target has been found: seen, or
+    recognised by a detector.
     """
 
     sums: MapSums
@@ -119,14 +102,7 @@ class Judged(NamedTuple):
     def at_start(
         cls, belief: Belief, reachable: GridMask, num_targets: int, track: TrueTrack | None
     ) -> "Judged":
-        """Return what is said before the first scan.
-
-        Args:
-            belief: belief of the robot.
-            reachable: (H, W) cells that count for the progress.
-            num_targets: number of targets.
-            track: where it is; None if it knows its pose.
-        """
+        """Return what is said before the first scan; `track` is None if the pose is known."""
         sums = MapSums.of(belief.grid.probability, reachable)
         progress = map_progress(sums, belief, reachable, jnp.zeros(()))
         return cls(sums, progress, jnp.zeros(num_targets, bool), track)
@@ -136,23 +112,14 @@ class Judge(NamedTuple):
     """Counts what a robot has learned, beside its updates and never in them.
 
     A scan changes a window of the map. `count_before` adds the window up before the robot maps its
-    scans, and `judge` after that.
-
-    Args:
-        perception: sensors and inverse sensor model of the robot.
-        reachable: (H, W) cells that count for the progress.
+    scans, and `judge` after that. `reachable` (H, W) are the cells that count for the progress.
     """
 
     perception: Perception
     reachable: GridMask
 
     def count_window(self, grid: OccupancyGrid, pose: Pose) -> MapSums:
-        """Add up the window of a map that scans from a pose may change.
-
-        Args:
-            grid: the map.
-            pose: pose of the scans [m, m, rad].
-        """
+        """Add up the window of a map that scans from a pose [m, m, rad] may change."""
         window = self.perception.window(grid, pose)
         return MapSums.of(window.read(grid.probability), window.read(self.reachable))
 
@@ -161,9 +128,8 @@ class Judge(NamedTuple):
     ) -> tuple[MapSums, RobotState]:
         """Add up the window that the scans of a robot will change, if they are taken.
 
-        Returns:
-            The sums, and what the robot knows, which depends on them: nothing reads the old map any
-            more, so it is changed in place. XLA would copy it otherwise.
+        What the robot knows is returned as well, and depends on the sums: nothing reads the old map
+        any more, so it is changed in place. XLA would copy it otherwise.
         """
         grid = own.belief.grid
         (before,) = when_due(
@@ -194,19 +160,11 @@ class Judge(NamedTuple):
     ) -> Judged:
         """Return what is said after the scans of a period.
 
-        Args:
-            judged: what was said before.
-            before: sums of the window before them.
-            own: what the robot knows after them.
-            measured: what it measured.
-            sight: where and whether the scans were taken.
-            is_mapped: whether they are in the map.
-            is_due: whether scans were due.
-            pose: true pose of the robot [m, m, rad].
-            place: what the robot knew of its pose before them; None if it knows it.
-            find: returns whether each target is in sight (M,).
-            target_class: number of the class of the targets, for a robot that recognises objects;
-                a target that it sees is found otherwise.
+        `before` are the sums of the window before the scans. `own` is what the robot knows after
+        them. `place` is what it knew of its pose before them; None if it knows its pose. `pose` is
+        its true pose [m, m, rad]. `is_mapped` says whether the scans are in the map. `find` returns
+        whether each target is in sight (M,), and one in sight is found. For a robot that recognises
+        objects, `target_class` is the class of the targets; those that it has reported are found.
         """
 
         assert measured.time is not None

@@ -14,11 +14,8 @@ from jaxplore.maps.padding import padded_cells
 class MapArrays(NamedTuple):
     """The map of a scenario, in arrays of one of a few shapes: similar maps share a program.
 
-    Args:
-        world: true map.
-        prior: map that the robot knows in advance.
-        reachable: (H, W) cells that the robot's centre can reach.
-        ground: ground of the map's cells; None if it is level.
+    `prior` is the map that the robot knows in advance, `reachable` (H, W) the cells that its centre
+    can reach in the true `world`. `ground` is None if it is level.
     """
 
     world: OccupancyGrid

@@ -25,22 +25,11 @@ def move(
     stop: Count | None,
     chassis: Chassis | None,
 ) -> tuple[ExplorationRecord, Wheels | None]:
-    """Move the robot, unless it would touch something solid.
+    """Move the robot, unless it would touch something solid; return the record and the wheels.
 
-    Args:
-        robot: true model of the robot.
-        state: state of the task before the step.
-        control: (nu,) control of the step.
-        truth: the true world at the end of the step.
-        period: control period [s].
-        reach: number of cells that are examined in each direction, see `clearance_reach`.
-        info: diagnostics of the controller.
-        is_faulty: whether a fault is active.
-        stop: why the guard stops the robot; None without a guard.
-        chassis: chassis of the vehicle; None for a robot that cannot tip over.
-
-    Returns:
-        The record of the step, and the vehicle on its wheels after it.
+    `state` is the state of the task before the step, `truth` the world at the end of the step.
+    `reach` cells are examined in each direction, see `clearance_reach`. `stop` is why the guard
+    stops the robot; None without a guard. `chassis` is None for a robot that cannot tip over.
     """
     moved = robot.step(state.robot, control, period)
     if state.wheels is not None:

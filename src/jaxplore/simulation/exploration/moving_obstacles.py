@@ -109,12 +109,9 @@ class MovingObstacles(eqx.Module):
 
 
 class MovingDiscs(NamedTuple):
-    """Discs at a moment, for what moves without a path of its own, such as other robots.
+    """Positions (M, 2) [m], velocities (M, 2) [m/s] and radii (M,) [m] of discs at a moment.
 
-    Args:
-        positions: (M, 2) positions [m].
-        velocities: (M, 2) velocities [m/s].
-        radius: (M,) radii [m].
+    They are for what moves without a path of its own, such as other robots.
     """
 
     positions: Float[Array, "M 2"]
@@ -144,8 +141,7 @@ class MovingDiscs(NamedTuple):
 def _place(
     corners: Float[Array, "P 2"], arc: Float[Array, " P+1"], travelled: Scalar
 ) -> tuple[Position, Position]:
-    """Return the position of a disc on its path, and its unit direction (0 on a path of length
-    0)."""
+    """Return the position of a disc, and its unit direction (0 on a path of length 0)."""
     length = arc[-1]
     # A path of length 0 would make the modulo NaN.
     rest = jnp.mod(travelled, jnp.where(length > 0.0, length, 1.0))

@@ -13,24 +13,14 @@ _ODOMETRY = 2**31 + 4
 
 
 class Odometer(NamedTuple):
-    """State of the odometry in a run.
-
-    Args:
-        errors: its errors.
-        key: random key of its noise.
-    """
+    """The errors of the odometry in a run, and the random key of its noise."""
 
     errors: Any
     key: Key
 
     @classmethod
     def at_start(cls, odometry: OdometryModel, key: Key | None) -> "Odometer":
-        """Draw the errors of a run.
-
-        Args:
-            odometry: the true odometry.
-            key: random key of the run; the odometry has no constant errors when absent.
-        """
+        """Draw the errors of a run; without its key, the odometry has no constant errors."""
         drawn = None if key is None else jax.random.fold_in(key, _ODOMETRY)
         own = jax.random.key(0) if drawn is None else jax.random.fold_in(drawn, 1)
         return cls(odometry.draw(drawn), own)
@@ -38,15 +28,7 @@ class Odometer(NamedTuple):
     def measure(
         self, odometry: OdometryModel, before: Pose, after: Pose, step: Count, period: Scalar
     ) -> tuple[Pose, "Odometer"]:
-        """Measure the motion of a control period, in the frame of the robot [m, m, rad].
-
-        Args:
-            odometry: the true odometry.
-            before: true pose before the period.
-            after: true pose after it.
-            step: number of steps before it.
-            period: control period [s].
-        """
+        """Measure the motion between true poses of a period, in the robot's frame [m, m, rad]."""
         key = jax.random.fold_in(self.key, step)
         motion, errors = odometry.measure(between(before, after), period, self.errors, key)
         return motion, self._replace(errors=errors)

@@ -14,12 +14,7 @@ from jaxplore.maps.world import World
 
 
 class PlantedAnomalies(NamedTuple):
-    """Boxes and kinds of the anomalies of a world.
-
-    Args:
-        boxes: (P, 4) rectangles (x_min, y_min, x_max, y_max) [m].
-        kinds: (P,) kinds, as in `Reports`.
-    """
+    """Boxes (P, 4) of anomalies (x_min, y_min, x_max, y_max) [m]; kinds (P,) as in `Reports`."""
 
     boxes: Float[Array, "P 4"]
     kinds: Int[Array, " P"]
@@ -29,9 +24,6 @@ def planted_anomalies(world: World) -> PlantedAnomalies | None:
     """Return the anomalies of a world: hidden and gone obstacles, and who walks where nobody may.
 
     A person's box holds the part of the path within the forbidden rectangle, and the radius.
-
-    Args:
-        world: the world.
     """
     reach = world.wall_reach
     found = [(APPEARED, box) for box in _boxes(world.hidden, reach)]

@@ -14,13 +14,10 @@ from jaxplore.report.exploration.data import MapProgress
 class MapSums(NamedTuple):
     """Sums over the cells of a map, or over those of a window of it.
 
-    Args:
-        reachable: number of the cells that the robot's centre can reach.
-        free: number of these that are known to be free.
-        unknown: number of these that are unknown.
-        unknown_map: number of all cells that are unknown.
-        entropy: entropy of the reachable cells [nat].
-        rest: what rounding has left out of the entropy [nat].
+    `reachable` is the number of cells that the robot's centre can reach, `free` and `unknown` how
+    many of these are known to be free and unknown. `unknown_map` is the number of all cells that
+    are unknown. `entropy` is that of the reachable cells [nat], and `rest` what rounding has left
+    out of it [nat].
     """
 
     reachable: Count
@@ -38,12 +35,7 @@ class MapSums(NamedTuple):
 
     @classmethod
     def of(cls, probability: GridValues, reachable: GridMask) -> "MapSums":
-        """Add up cells.
-
-        Args:
-            probability: probability of occupancy (h, w) on the robot's map.
-            reachable: (h, w) cells that the robot's centre can reach.
-        """
+        """Return the sums over cells (h, w), from their probability of occupancy on a map."""
 
         def count(cells: GridMask) -> Count:
             return jnp.sum(cells, dtype=jnp.int32)
@@ -59,12 +51,7 @@ class MapSums(NamedTuple):
         )
 
     def changed(self, before: "MapSums", after: "MapSums") -> "MapSums":
-        """Return the sums of a map of which a window has changed.
-
-        Args:
-            before: sums of the window before.
-            after: sums of the window after.
-        """
+        """Return the sums of a map of which a window has changed from `before` to `after`."""
         # A map has a million nat, of which a scan changes some hundred. What is rounded off is
         # carried along (Kahan 1965), so that it does not add up over a run.
         change = (after.entropy - before.entropy) + self.rest
@@ -82,11 +69,7 @@ class MapSums(NamedTuple):
 def map_progress(sums: MapSums, belief: Belief, reachable: GridMask, time: Scalar) -> MapProgress:
     """Compute coverage, entropy, the shares of unknown cells and the idleness.
 
-    Args:
-        sums: sums over the cells of the robot's map.
-        belief: the robot's belief.
-        reachable: (H, W) cells that the robot's centre can reach.
-        time: time since the start, an upper bound of the idleness [s].
+    `time` is the time since the start, an upper bound of the idleness [s].
     """
 
     def share(total: Scalar) -> Scalar:

@@ -8,13 +8,7 @@ from jaxplore._types import Count, Flag, Scalar
 
 
 class Rates(NamedTuple):
-    """Rates of sensing and of fields.
-
-    Args:
-        period: control period [s].
-        steps_per_scan: control periods between two scans.
-        steps_per_field: control periods between two updates of the fields.
-    """
+    """Control period [s], and how many are between two scans and two updates of the fields."""
 
     period: Scalar
     steps_per_scan: Count

@@ -23,18 +23,13 @@ from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD, Occ
 def reachable_cells(
     world: OccupancyGrid, start: np.ndarray, radius: float, datum: Datum = ORIGIN
 ) -> np.ndarray:
-    """Compute the cells (H, W) that the centre of a disc can reach from a start.
+    """Compute the cells (H, W) that the centre of a disc can reach from a start (x, y, ...) [m].
 
-    Free cells whose centres are at least `radius` from the nearest solid cell's face (centre
-    distance less half a cell), 8-connected to the start. A diagonal step passes a corner, and none
-    of the cells that touch it may be solid, as on the lattice of the fields (`clear_corners`).
-
-    Args:
-        world: true map; cells that are not known to be free are solid, as is everything off the
-            map.
-        start: start position (x, y, ...) [m].
-        radius: radius of the disc [m].
-        datum: point of the map's coordinates to which positions are relative, for messages.
+    They are free cells whose centres are at least `radius` [m] from the nearest solid cell's face
+    (centre distance less half a cell), 8-connected to the start. Cells that are not known to be
+    free are solid, as is everything off the map. A diagonal step passes a corner, and none of the
+    cells that touch it may be solid, as on the lattice of the fields (`clear_corners`). `datum` is
+    for messages.
 
     Raises:
         ValueError: a start where the disc cannot stand.
@@ -104,17 +99,10 @@ def drivable_cells(
     perception: Perception,
     datum: Datum,
 ) -> np.ndarray:
-    """Compute the cells (H, W) that the position of a robot can reach from a start.
+    """Compute the cells (H, W) that a robot can reach from a start (x, y, yaw) [m, m, rad].
 
     They are those of `reachable_cells`. If the robot cannot turn on the spot, they are also those
     of the road map of its fields on the true map that it can drive to.
-
-    Args:
-        world: true map.
-        start: start pose (x, y, yaw) [m, m, rad].
-        robot: model of the robot.
-        perception: perception of the robot, with its locomotion.
-        datum: point of the map's coordinates to which positions are relative, for messages.
 
     Raises:
         ValueError: a start where the robot cannot stand, or from which it cannot drive as far as
@@ -180,9 +168,7 @@ _clearance = functools.partial(jax.jit, static_argnames=("resolution", "reach"))
 def _connected(room: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Label the cells (H, W) of `room` that steps connect, from 1; 0 elsewhere.
 
-    Args:
-        room: cells that steps may lead to.
-        free: cells that touch the corner of a diagonal step.
+    All cells that touch the corner of a diagonal step must be in `free`.
     """
     import scipy.ndimage  # slow to import, and few need it
     from scipy.sparse import coo_array
@@ -248,8 +234,7 @@ def _shown(pose: np.ndarray, datum: Datum) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a coordinate with six digits, and far from the origin with all in front of the
-    point."""
+    """Return a coordinate with six digits; from 1e5 on, with three after the point."""
     return f"{value:g}" if abs(value) < 1e5 else f"{value:.3f}"
 
 

@@ -47,23 +47,9 @@ def make_recording(
 ) -> ExplorationRecording:
     """Make the recording of a run.
 
-    Args:
-        before: state before the first step.
-        run: the run, with the state at the end.
-        arrays: the map, in arrays of its own shape.
-        robot: model of the robot.
-        start: (nx,) state at the start.
-        period: control period [s].
-        goal: goal position (x, y) [m]; None without one.
-        target: what the exploration ends by.
-        target_coverage: share of the reachable cells that must be known; above 1 for none.
-        targets: (M, 2) positions of the targets [m].
-        member_names: names of the controller's members.
-        planted: what differs from the prior map; none when absent.
-        objects: the true objects; none when absent.
-        recognition: how the robot recognises them.
-        localisation: where the robot took itself to be; None if it knew its pose.
-        is_given_up: whether the exploration was given up at the end.
+    `before` is the state before the first step; `run` has that at the end. `arrays` have the map's
+    own shape. `target_coverage` is above 1 for none. `planted` is what differs from the prior map.
+    `localisation` is where the robot took itself to be; None if it knew its pose.
     """
     after: ExplorationState = run.state.task
     world, ground = arrays.world, arrays.ground

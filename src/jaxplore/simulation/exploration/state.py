@@ -57,12 +57,7 @@ class ExplorationState(NamedTuple):
     control: ControlVector | None = None
 
     def after_step(self, robot: StateVector, control: ControlVector) -> "ExplorationState":
-        """Return the state after a step of the robot, with the control if a lidar needs it.
-
-        Args:
-            robot: (nx,) true state after the step.
-            control: (nu,) control of the step.
-        """
+        """Return the state after a step of the robot, with the control if a lidar needs it."""
         kept = None if self.control is None else control
         return self._replace(robot=robot, control=kept)
 
@@ -87,13 +82,7 @@ class ExplorationState(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """A period after the scans, before the fields follow.
-
-    Args:
-        state: state of the task, with the scans in the map.
-        measured: what the robot measured.
-        sight: where and whether the scans were taken.
-    """
+    """A period after the scans are in the map, before the fields follow."""
 
     state: ExplorationState
     measured: Measurement
@@ -123,18 +112,10 @@ def initial_state(
 ) -> ExplorationState:
     """Return the state at the start.
 
-    Args:
-        start: (nx,) state of the robot.
-        belief: its belief, without moving obstacles.
-        reachable: (H, W) cells that count for the progress.
-        num_targets: number of targets.
-        moving: moving obstacles; None without any.
-        sensors: the sensors.
-        pose: pose of the robot [m, m, rad].
-        is_guarded: whether a guard needs the end points of scans.
-        can_tip: whether the robot has a chassis that can tip over.
-        place: what the robot knows of its pose at the start; None if its odometry tells it.
-        odometer: odometry of the run; None likewise.
+    `belief` has no moving obstacles yet. `is_guarded` says whether a guard needs the end points of
+    scans, `can_tip` whether the robot has a chassis that can tip over. `pose` [m, m, rad] is its
+    true pose. `place` is what it knows of its pose, and `odometer` the odometry of the run; both
+    are None if it knows its pose.
     """
     number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None and belief.tracks is None:

@@ -26,12 +26,7 @@ or of a sensor, nor that of moving obstacles."""
 
 
 class TrueObjects(NamedTuple):
-    """Positions and classes of N objects; the targets come first.
-
-    Args:
-        place: (N, 2) positions [m].
-        label: (N,) numbers of their classes.
-    """
+    """Positions (N, 2) [m] and numbers of the classes (N,) of N objects; the targets come first."""
 
     place: Float[Array, "N 2"]
     label: Int[Array, " N"]
@@ -39,16 +34,9 @@ class TrueObjects(NamedTuple):
     def look(
         self, recognition: Recognition, truth: TrueWorld, sensor: Sensor, pose: Pose, key: Key
     ) -> Look:
-        """Return what a detector says of the objects in an image.
+        """Return what a detector says of the objects in an image of a camera at the true pose.
 
         Positions and distances are measured without error.
-
-        Args:
-            recognition: the robot's detector.
-            truth: the true world.
-            sensor: the camera.
-            pose: true pose of the robot [m, m, rad].
-            key: random key of the step's measurements.
         """
         detections = recognition.detector.detect(
             self.label,
@@ -66,17 +54,9 @@ def true_objects(
     world: OccupancyGrid,
     datum: Datum,
 ) -> TrueObjects | None:
-    """Check the objects of a scenario, and return them behind the targets.
+    """Check the objects of a scenario, and return them behind the targets (M, 2) [m].
 
-    Args:
-        targets: (M, 2) positions of the targets [m].
-        objects: the other objects; none when absent.
-        recognition: how the robot recognises objects; None if it does not.
-        world: true map.
-        datum: point of the map's coordinates to which positions are relative.
-
-    Returns:
-        The objects; None without any, or if the robot recognises none.
+    The result is None without any objects, or if the robot recognises none.
 
     Raises:
         ValueError: objects without a recognition, of an unknown class or of that of the targets,

@@ -27,14 +27,10 @@ from jaxplore.simulation.exploration.moving_obstacles import (
 
 
 class TrueWorld(eqx.Module):
-    """The true world at a moment.
+    """The true world at a moment, a time since the start [s].
 
-    Args:
-        grid: true map, with the walls that have appeared.
-        ground: ground of the map's cells; None if it is level.
-        moving: moving obstacles; None without any.
-        time: time since the start [s].
-        is_told: whether scans tell which beams ended at moving obstacles; static.
+    `grid` has the walls that have appeared. `ground` is None if it is level, `moving` without
+    moving obstacles. `is_told` says whether scans tell which beams ended at moving obstacles.
     """
 
     grid: OccupancyGrid
@@ -51,16 +47,10 @@ class TrueWorld(eqx.Module):
     def scans(
         self, sensors: Sequence[Sensor], pose: Pose, key: Key, motion: ScanMotion | None = None
     ) -> tuple[Scan, ...]:
-        """Simulate a scan of each sensor, around the robot's centre.
+        """Simulate a scan of each sensor from a true pose, around the robot's centre.
 
         A lidar with a mount measures where it truly is. The robot undoes its mount, and its motion
-        by what it knows of it.
-
-        Args:
-            sensors: the sensors.
-            pose: true pose (x, y, yaw) of the robot [m, m, rad].
-            key: random key of the step's measurements.
-            motion: motion of the robot, for a lidar that turns; it stands when absent.
+        by what it knows of it. Without `motion`, the robot stands.
         """
         discs = self.discs
         # The first sensor has the step's own key, so further sensors do not change its noise.
@@ -105,14 +95,8 @@ class TrueWorld(eqx.Module):
     ) -> Told | None:
         """Measure the moving obstacles in sight of any sensor, for a robot that is told of them.
 
-        Args:
-            sensors: the sensors.
-            pose: true pose (x, y, yaw) of the robot [m, m, rad].
-            noise: standard deviations of measured positions [m] and velocities [m/s].
-            key: random key of the step's measurements.
-
-        Returns:
-            The measurement; None if there are none.
+        `noise` are standard deviations of positions [m] and velocities [m/s]. The result is None
+        without moving obstacles.
         """
         if self.moving is None:
             return None
@@ -131,10 +115,7 @@ class TrueWorld(eqx.Module):
     def clearance(self, robot: Dynamics, state: StateVector, reach: int) -> Scalar:
         """Compute the distance from the robot's edge to the nearest solid cell or obstacle [m].
 
-        Args:
-            robot: model of the robot.
-            state: (nx,) state of the robot.
-            reach: number of cells that are examined in each direction, see `clearance_reach`.
+        `reach` cells are examined in each direction, see `clearance_reach`.
         """
         room = self._room(~self.grid.is_free, robot, state, reach)
         if self.moving is None:
@@ -147,16 +128,10 @@ class TrueWorld(eqx.Module):
     def stopped(
         self, robot: Dynamics, before: StateVector, after: StateVector, reach: int
     ) -> tuple[StateVector, Flag]:
-        """Stop the robot if its move would touch something.
+        """Return the state (nx,) after a move, and whether the move would have led to a collision.
 
-        Args:
-            robot: model of the robot.
-            before: (nx,) state before the move.
-            after: (nx,) state after it; where it is not finite, the robot does not move.
-            reach: number of cells that are examined in each direction, see `clearance_reach`.
-
-        Returns:
-            The state (nx,), and whether the move would have led to a collision.
+        If so, the robot is stopped. Where `after` is not finite, it does not move. For `reach`, see
+        `clearance`.
         """
         is_finite = jnp.all(jnp.isfinite(after))
         is_collision = is_finite & (self.clearance(robot, after, reach) < 0.0)

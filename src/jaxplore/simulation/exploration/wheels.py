@@ -19,12 +19,10 @@ the drive through the differential with it."""
 
 
 class Wheels(NamedTuple):
-    """The vehicle on its wheels after a step.
+    """The vehicle on its wheels after a step: how much of what it withstands is used.
 
-    Args:
-        used: how much of what it withstands is used.
-        tipping: time for which a pair of wheels has been without load [s]. It stays when the
-            vehicle has tipped over.
+    `tipping` is the time for which a pair of wheels has been without load [s]. It no longer changes
+    when the vehicle has tipped over.
     """
 
     used: Stability
@@ -57,15 +55,7 @@ def stability(
     state: StateVector,
     control: ControlVector,
 ) -> Stability:
-    """Return how much of what a vehicle withstands is used in the true world.
-
-    Args:
-        chassis: its chassis.
-        truth: the true world; without a ground it is level.
-        robot: true model of the robot.
-        state: (nx,) state of the robot.
-        control: (nu,) control that acts on it.
-    """
+    """Return how much of what a vehicle withstands is used; a world without a ground is level."""
     stance = Stance(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
     if truth.ground is not None:
         stance = truth.ground.stance(chassis, robot.position(state), robot.heading(state))
@@ -76,13 +66,7 @@ def driven(wheels: Wheels, robot: Dynamics, before: StateVector, after: StateVec
     """Return where the vehicle gets to on its wheels (nx,).
 
     With a wheel in the air, `1 - TRACTION` of the displacement is lost. A vehicle that has tipped
-    over stays where it lies.
-
-    Args:
-        wheels: the vehicle on its wheels before the step.
-        robot: true model of the robot.
-        before: (nx,) state before the step.
-        after: (nx,) state after it with all wheels on the ground.
+    over stays where it lies. `after` is the state with all wheels on the ground.
     """
     moves = jnp.asarray([name in ("x", "y", "yaw") for name in robot.state_names])
     slipped = jnp.where(moves, before + TRACTION * (after - before), after)
@@ -91,12 +75,6 @@ def driven(wheels: Wheels, robot: Dynamics, before: StateVector, after: StateVec
 
 
 def stood(wheels: Wheels, used: Stability, period: Scalar) -> Wheels:
-    """Return the vehicle on its wheels one period later.
-
-    Args:
-        wheels: the vehicle on its wheels before the step.
-        used: how much of what it withstands is used after the step.
-        period: control period [s].
-    """
+    """Return the vehicle on its wheels one period [s] later; `used` is how much is used then."""
     longer = jnp.where(used.is_tipped, wheels.tipping + period, 0.0)
     return Wheels(used, jnp.where(wheels.is_tipped, wheels.tipping, longer))

@@ -24,14 +24,8 @@ def frontier_clusters(probability: np.ndarray, resolution: float) -> list[np.nda
     """Find the clusters of frontier cells of a map: free cells beside an unknown one.
 
     Cells that touch, also at a corner, are in one cluster (Yamauchi, "A frontier-based approach for
-    autonomous exploration", CIRA 1997).
-
-    Args:
-        probability: (H, W) probabilities of the map.
-        resolution: side of a cell [m].
-
-    Returns:
-        The cells (n, 2) as (row, column) of each cluster, the largest first.
+    autonomous exploration", CIRA 1997). A cluster is its cells (n, 2) as (row, column). The largest
+    one is first, and those shorter than `SMALLEST_CLUSTER` are left out.
     """
     import scipy.ndimage  # slow to import, and few need it
 
@@ -51,12 +45,8 @@ def cluster_costs(lengths: np.ndarray, clusters: Sequence[np.ndarray], stride: i
     """Return the length of the shortest path of each robot to each cluster (N, C) [m].
 
     A robot keeps clear of unknown space, so paths end at a node near the cluster: the length is the
-    least over nodes up to three nodes away.
-
-    Args:
-        lengths: (N, rows, columns) lengths of the robots' paths to the nodes [m].
-        clusters: cells (n, 2) of each cluster.
-        stride: number of cells between nodes.
+    least over nodes up to three nodes away. `lengths` (N, rows, columns) are those of the paths to
+    the nodes [m], which are `stride` cells apart.
     """
     import scipy.ndimage  # slow to import, and few need it
 
@@ -69,10 +59,8 @@ def assigned(costs: np.ndarray) -> np.ndarray:
     """Assign a cluster to each robot (N,), such that the sum of the costs is least; -1 for none.
 
     With C clusters, C robots get one each if there are more robots, and no cluster goes to two
-    robots (Kuhn, "The Hungarian method for the assignment problem", 1955).
-
-    Args:
-        costs: (N, C) costs; infinite where there is no path.
+    robots (Kuhn, "The Hungarian method for the assignment problem", 1955). A cost (N, C) is
+    infinite where there is no path.
     """
     from scipy.optimize import linear_sum_assignment  # slow to import, and few need it
 
@@ -93,13 +81,7 @@ def with_assignments(
 
     Every robot computes the assignment by itself, from its own map and from the lengths of paths
     that it has heard. Robots that have heard the same agree. A robot without a cluster is free to
-    go anywhere.
-
-    Args:
-        scenarios: exploration of each robot.
-        members: state of each robot.
-        places: places of these robots in the fleet.
-        heard: what the robots have heard.
+    go anywhere. `places` are those of the robots in the fleet.
     """
     version, lengths = np.asarray(heard.version), np.asarray(heard.lengths)
     after = []

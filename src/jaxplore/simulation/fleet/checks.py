@@ -16,10 +16,8 @@ def checked_members(
 ) -> tuple[ExplorationScenario, ...]:
     """Return the exploration of each robot of a fleet.
 
-    Args:
-        robots: exploration of each robot, or that of one for as many equal ones as there are
-            starts.
-        starts: (N, 3) start poses of the robots; those of the explorations when absent.
+    A single exploration stands for as many equal robots as there are starts (N, 3), or for one
+    without starts.
 
     Raises:
         ValueError: no robots or too many, explorations that a fleet does not support, different

@@ -14,10 +14,8 @@ from jaxplore.dynamics.formation import Formation
 class Parted(NamedTuple):
     """What the moves of the robots come to when those that would touch are stopped.
 
-    Args:
-        states: state (n,) of each robot.
-        is_contact: (N,) whether each robot was stopped because it would have touched another one.
-        gap: (N,) distance of each robot from the nearest other one [m].
+    `is_contact` (N,) says whether each robot was stopped because it would have touched another one.
+    `gap` (N,) is the distance of each robot from the nearest other one [m].
     """
 
     states: tuple[Array, ...]
@@ -33,15 +31,10 @@ def parted(
 ) -> Parted:
     """Stop the robots whose moves would make them touch another robot.
 
-    Robots are discs about their positions. All moves take place at once, so the order of the robots
-    does not matter. A robot that is stopped may be where another one moves, so that one is stopped
-    as well, and so on.
-
-    Args:
-        formation: model of the robots.
-        radii: (N,) radii of the circles that hold the robots [m].
-        before: state (n,) of each robot before the step, in which none touch.
-        moved: state (n,) of each robot after its move.
+    Robots are discs about their positions, with the `radii` (N,) of circles that hold them [m]. All
+    moves take place at once, so the order of the robots does not matter. A robot that is stopped
+    may be where another one moves, so that one is stopped as well, and so on. None touch in
+    `before`.
     """
     places = [
         jnp.stack(
@@ -86,12 +79,8 @@ def planned_positions(
 ) -> Float[Array, "N S 2"]:
     """Return where the robots are at each step of their plans (N, S, 2), now included [m].
 
-    Args:
-        formation: model of the robots.
-        states: state (n,) of each robot now.
-        controls: (T, nu) planned controls of all robots; the last ones are kept if S - 1 > T.
-        num_steps: number of positions, S; static.
-        dt: time between the controls [s].
+    `controls` (T, nu) are those of all robots, `dt` apart [s]; the last ones are kept if S - 1 > T.
+    `num_steps` is S; static.
     """
     rows = jnp.minimum(jnp.arange(num_steps - 1), controls.shape[0] - 1)
 

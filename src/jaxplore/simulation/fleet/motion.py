@@ -25,16 +25,8 @@ def moves(
     """Move each robot for a control period, unless it would touch something solid; see `move`.
 
     Every process moves all robots. Of one that another process computes, nothing but the record's
-    state, clearance and collision is meant.
-
-    Args:
-        scenarios: exploration of each robot.
-        share: robots that this process computes.
-        members: state of these robots.
-        before: state (n,) of each robot before the step.
-        controls: control (nu,) of each robot.
-        moment: the moment of the step.
-        info: diagnostics of the controllers.
+    state, clearance and collision is meant. `members` are the states of the robots of `share`,
+    which this process computes.
     """
     here = dict(zip(share.mine, members, strict=True))
     records = []

@@ -105,12 +105,11 @@ class Radio(eqx.Module):
 
 
 def newest(version: Int[Array, "N N"], links: Bool[Array, "N N"]) -> Int[Array, "N N"]:
-    """Return from which robot each robot takes what is known of each robot: from itself, or from
-    the one that it hears and that knows a newer version.
+    """Return from which robot (N, N) each robot takes what is known of each robot.
 
-    Args:
-        version: (N, N) version that each robot (first axis) knows of each robot.
-        links: (N, N) which robots hear each other.
+    It takes that from itself, or from the one that it hears and that knows a newer version.
+    `version` (N, N) is what each robot (first axis) knows of each robot, and `links` (N, N) which
+    robots hear each other.
     """
     number = version.shape[0]
     own = jnp.eye(number, dtype=bool)
@@ -120,12 +119,10 @@ def newest(version: Int[Array, "N N"], links: Bool[Array, "N N"]) -> Int[Array, 
 
 
 class Taken(NamedTuple):
-    """Result of `taken`.
+    """What each robot (first axis) has of each robot (second axis), as the result of `taken`.
 
-    Args:
-        values: (N, N, ...) what each robot (first axis) has of each robot (second axis).
-        is_news: (N, ...) where any of it differs from what the robot had.
-        number: number of values that differ, of all robots.
+    `is_news` (N, ...) says where any of it differs from what the robot had. `number` is how many
+    values differ, of all robots.
     """
 
     values: Float[Array, "N N *A"]
@@ -141,12 +138,7 @@ def taken(
     Whole maps are copied and compared one by one, in place, and those that a robot has already are
     not: a gather of all of them at once would move them cell by cell. Robots take in the order of
     their versions, the oldest first. A robot takes from one with a newer version alone, so what it
-    takes has not been replaced yet.
-
-    Args:
-        values: (N, N, ...) what each robot (first axis) has of each robot (second axis).
-        source: (N, N) result of `newest`.
-        version: (N, N) version that each robot knew of each robot, as for `newest`.
+    takes has not been replaced yet. `source` is the result of `newest` for these versions.
     """
     number, shape = source.shape[0], values.shape[2:]
     zeros = (0,) * len(shape)
@@ -176,13 +168,10 @@ def taken(
 
 
 class Exchanged(NamedTuple):
-    """Result of an exchange.
+    """Result of an exchange; `sent` is the size of all messages [bytes].
 
-    Args:
-        members: state of each robot, with the merged map and the claims in its belief.
-        heard: what the robots have heard.
-        merged: (H, W) map of each robot after it.
-        sent: size of all messages [bytes].
+    `merged` is the map (H, W) of each robot after it. The beliefs of `members` have these maps and
+    the claims.
     """
 
     members: tuple[ExplorationState, ...]
@@ -209,22 +198,12 @@ def exchange(
 ) -> Exchanged:
     """Let the robots that hear each other pass on all that they have heard, and merge their maps.
 
-    News travel by one robot per exchange.
-
-    Args:
-        radio: who hears whom.
-        explorations: exploration of each of the M robots that this process computes.
-        share: these robots.
-        identity: (N,) number of each robot, by which sums over robots are ordered.
-        members: state of each of the M robots.
-        heard: what the robots have heard before.
-        merged: (H, W) map of each of the M robots after the last exchange.
-        links: (N, N) which robots hear each other.
-        poses: observed pose of each of the M robots [m, m, rad].
-        step: number of steps before.
-        time: time since the start [s].
-        with_lengths: whether the lengths of paths are told; static.
-        with_claims: whether claims follow from them; static.
+    News travel by one robot per exchange. Explorations, members, maps and poses are those of the M
+    robots that this process computes, which are `share`. `merged` are their maps (H, W) after the
+    last exchange, `poses` are observed [m, m, rad]. Sums over robots are in the order of `identity`
+    (N,). `links` (N, N) says which robots hear each other. `step` steps were done before.
+    `with_lengths` says whether the lengths of paths are told, `with_claims` whether claims follow
+    from them; both are static.
     """
     number, scenarios = share.number, explorations.all
     every = jnp.arange(number)

@@ -34,15 +34,7 @@ def fleet_frame(
     plan: SampledPlan | None,
     links: Bool[Array, "N N"] | None,
 ) -> dict[str, Any]:
-    """Return the arrays of a `FleetFrame`, by field.
-
-    Args:
-        robot: model of all robots.
-        state: state of the fleet.
-        share: robots that this process computes.
-        plan: sampled plan of the controller; None to show none.
-        links: which robots hear each other; None of a robot alone.
-    """
+    """Return the arrays of a `FleetFrame`, by field; without a plan or links it shows none."""
     number, states = len(robot.robots), robot.split_state(state.robot)
     headings = [one.heading(each) for one, each in zip(robot.robots, states, strict=True)]
     plans = jnp.zeros((number, 0, 2))
@@ -70,19 +62,7 @@ def make_recording(
     *,
     is_given_up: bool,
 ) -> FleetRecording:
-    """Make the recording of a run.
-
-    Args:
-        scenarios: exploration of each robot.
-        share: robots that this process computes.
-        robot: model of all robots.
-        start: (nx,) states at the start.
-        before: state before the first step.
-        run: the run, with the state at the end.
-        period: control period [s].
-        coordination: how the robots divided the places among themselves.
-        is_given_up: whether the exploration was given up at the end.
-    """
+    """Make the recording of a run; `before` is the state before the first step."""
     after: FleetState = run.state.task
     arrays = scenarios[0].map_arrays.cropped()
     grid = after.members[0].belief.grid

@@ -7,13 +7,7 @@ from jaxplore._types import Count
 
 
 def others(rows: Array, identity: Int[Array, " N"], index: int | Count) -> Array:
-    """Return the rows (N - 1, ...) of all robots but one, by their identity.
-
-    Args:
-        rows: one row for each robot.
-        identity: (N,) number of each robot, from 0 to N - 1.
-        index: place of the robot that is left out.
-    """
+    """Return the rows (N - 1, ...) of all robots but that at place `index`, by their identity."""
     rest = jnp.arange(identity.shape[0] - 1, dtype=jnp.int32)
     rest = rest + (rest >= identity[index]).astype(jnp.int32)
     return jnp.take(rows, jnp.argsort(identity)[rest], axis=0)

@@ -29,12 +29,8 @@ class TeamSenses(NamedTuple):
     It does what `ExplorationScenario.perceive` does for each robot. What takes long to compile and
     reads little of the maps, tracking and guidance, is one compiled body for equal robots. Scans
     and information fields change large arrays in place: a loop over robots would copy them, so each
-    robot has a part of its own for them.
-
-    Args:
-        explorations: exploration of each of the M robots that this process computes.
-        places: places of these robots in the fleet.
-        identity: (N,) number of each robot, by which the others are ordered.
+    robot has a part of its own for them. `places` are the places in the fleet of the robots that
+    this process computes. The others are ordered by `identity` (N,).
     """
 
     explorations: Alike[ExplorationScenario]
@@ -51,12 +47,8 @@ class TeamSenses(NamedTuple):
     ) -> tuple[ExplorationState, ...]:
         """Let each robot scan, track the others and derive its fields.
 
-        Args:
-            members: state of each robot.
-            discs: all robots as discs; None for a robot alone.
-            observed: state (n,) that each robot observes.
-            moment: time and step; the state that is observed is not read.
-            keys: random key of the measurements of each robot.
+        `discs` are all robots; None for a robot alone. `observed` is the state (n,) that each robot
+        observes; the one in `moment` is not read.
         """
         scenarios = self.explorations.all
         if discs is None:

@@ -61,11 +61,7 @@ def near_starts(scenario: ExplorationScenario, number: int) -> np.ndarray:
 
 
 def checked_starts(scenarios: Sequence[ExplorationScenario], starts: Rows | None) -> np.ndarray:
-    """Return the starts (N, 3) of a fleet [m, m, rad].
-
-    Args:
-        scenarios: exploration of each robot.
-        starts: poses (x, y, yaw) of the robots; those of the scenarios when absent.
+    """Return the starts (N, 3) of a fleet [m, m, rad]; those of the scenarios when absent.
 
     Raises:
         ValueError: another shape; a start where its robot cannot stand or from which it cannot

@@ -13,14 +13,12 @@ from jaxplore.simulation.fleet.radio import Heard
 class Team(NamedTuple):
     """What the robots of a fleet of several have told one another.
 
-    Args:
-        heard: what each has heard of each.
-        merged: (H, W) map of each robot that this process computes after the last exchange.
-        plans: (N, S, 2) positions that each robot plans to pass [m].
-        velocities: (N, 2) velocities during the last step [m/s].
-        sent: size of the messages of the present step [bytes].
-        links: number of pairs of robots that heard each other last.
-        coverages: (N,) share of the reachable cells that each knew to be free at the last scan.
+    `heard` is what each has heard of each. `merged` are the maps (H, W) after the last exchange, of
+    the robots that this process computes. `plans` (N, S, 2) are positions that each plans to pass
+    [m], `velocities` (N, 2) those during the last step [m/s]. `sent` is the size of the messages of
+    the present step [bytes], `links` the number of pairs of robots that heard each other last.
+    `coverages` (N,) are the shares of the reachable cells that each knew to be free at the last
+    scan.
     """
 
     heard: Heard
@@ -35,13 +33,10 @@ class Team(NamedTuple):
 class FleetState(NamedTuple):
     """State of the exploration by a fleet.
 
-    Args:
-        robot: (nx,) true states of all robots, one after the other.
-        members: state of each robot as an explorer, of those that this process computes.
-        coverage: share of the reachable cells that some robot knows to be free.
-        gain: the last rise of the coverage.
-        finished: number of steps since the task was finished; 0 before.
-        team: what the robots have told one another; None for a robot alone.
+    `robot` (nx,) are the true states of all robots, one after the other. `members` are the states
+    of those that this process computes, each as an explorer. `coverage` is the share of the
+    reachable cells that some robot knows to be free, and `gain` its last rise. `finished` is the
+    number of steps since the task was finished; 0 before. `team` is None for a robot alone.
     """
 
     robot: StateVector

@@ -32,17 +32,11 @@ BESIDE = 1.0
 class Talk(NamedTuple):
     """How the robots of a fleet tell one another what they know.
 
-    Args:
-        robot: model of all robots.
-        explorations: exploration of each robot.
-        share: robots that this process computes; `members` of a state are theirs.
-        identity: (N,) number of each robot, by which the others are ordered.
-        radii: (N,) radii of the circles that hold the robots [m].
-        radio: who hears whom.
-        steps_per_exchange: control periods between two exchanges of maps.
-        plan_step: time between planned controls [s].
-        plan_length: number of planned controls that robots tell.
-        coordination: how the robots divide the places among themselves.
+    `share` are the robots that this process computes; `members` of a state are theirs. `identity`
+    (N,) is the number of each robot, by which the others are ordered. `radii` (N,) are those of the
+    circles that hold the robots [m]. `steps_per_exchange` control periods are between two exchanges
+    of maps. Robots tell `plan_length` planned controls, `plan_step` apart [s]. `coordination` is
+    how they divide the places among themselves.
     """
 
     robot: Formation

@@ -22,11 +22,7 @@ AHEAD, NUM_AHEAD = 1.0, 12
 class PathView(AgentView):
     """Path following as an agent sees it: the path ahead in, the progress along it out.
 
-    Args:
-        scenario: the task.
-        view_cells: None, because there is no map; static.
-        path: path to follow.
-        num_obstacles: number of obstacles, moving and static, N; static.
+    There is no map, so `view_cells` is None. `num_obstacles` counts moving and static ones.
     """
 
     path: Path

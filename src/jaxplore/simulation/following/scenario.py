@@ -203,8 +203,7 @@ class PathScenario(Scenario):
         return functools.reduce(operator.add, known) if known else None
 
     def _dated(self, known: Obstacles | None) -> Obstacles | None:
-        """Add an age to the obstacles if the tracker may fail, so that measurements can grow
-        old."""
+        """Add an age to the obstacles if the tracker may fail: measurements can grow old then."""
         if self.faults is None or known is None:
             return known
         return known.after(jnp.zeros(()))

@@ -19,10 +19,7 @@ ELEVATIONS = 12
 def room_around(solid: np.ndarray) -> np.ndarray:
     """Return the radius (D, H, W) of a ball that fits around the centre of each voxel [voxels].
 
-    It is at most half a voxel too small.
-
-    Args:
-        solid: (D, H, W) solid voxels; so is all beyond them.
+    It is at most half a voxel too small. All beyond the volume is solid.
     """
     # Slow to import, and only needed here.
     from scipy import ndimage
@@ -35,10 +32,7 @@ def room_around(solid: np.ndarray) -> np.ndarray:
 def fitting_places(solid: np.ndarray, start: np.ndarray, radius: float) -> np.ndarray:
     """Return the voxels (D, H, W) at whose centre a ball fits, connected with the start.
 
-    Args:
-        solid: (D, H, W) solid voxels; so is all beyond them.
-        start: (3,) start in grid coordinates (z, y, x) [voxels].
-        radius: radius of the ball [voxels].
+    The start (z, y, x) and the radius are in voxels. All beyond the volume is solid.
     """
     # Slow to import, and only needed here.
     from scipy import ndimage
@@ -70,11 +64,8 @@ def observable(
     where d_n is the rounded shift from one plane to the next. A line that passes between two voxels
     at a corner is blocked if both are solid. So a voxel counts if any of the directions shows it.
 
-    Args:
-        solid: (D, H, W) solid voxels.
-        places: (D, H, W) voxels in which a sensor can be.
-        views: for each sensor its range [voxels], and the elevations of the lower and the upper
-            edge of its view [rad].
+    `places` are the voxels in which a sensor can be. `views` has for each sensor its range
+    [voxels], and the elevations of the lower and the upper edge of its view [rad].
     """
     seen = np.zeros(solid.shape, bool)
     free = jnp.asarray(~solid)

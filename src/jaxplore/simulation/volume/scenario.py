@@ -46,13 +46,7 @@ TOUCHING = 1.0
 
 
 class VolumeState(NamedTuple):
-    """State of the exploration of a volume.
-
-    Args:
-        robot: (nx,) true state of the robot.
-        belief: the robot's belief.
-        num_known: number of observable voxels that are known to be free.
-    """
+    """State of the exploration of a volume; `num_known` observable voxels are known to be free."""
 
     robot: StateVector
     belief: VolumeBelief

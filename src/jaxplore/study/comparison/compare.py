@@ -25,15 +25,7 @@ from jaxplore.study.workers.task import Task
 
 @dataclasses.dataclass(frozen=True)
 class RecordingTask(Task):
-    """One run of a variant, whose result is the metrics and the recording.
-
-    Args:
-        variant: name of the variant.
-        seed: seed of the run.
-        controller: computes the controls.
-        scenario: the task.
-        num_steps: greatest number of control periods.
-    """
+    """One run of a variant, whose result is the metrics and the recording."""
 
     variant: str
     seed: int
@@ -52,11 +44,7 @@ class RecordingTask(Task):
         return self.variant
 
     def run(self) -> tuple[Metrics, Recording]:
-        """Run it.
-
-        Raises:
-            KeyboardInterrupt: the user stopped it.
-        """
+        """Run it."""
         # The key is made in the worker: a JAX key cannot be pickled.
         key = jax.random.key(self.seed)
         experiment = Experiment(self.controller, self.scenario, self.num_steps, key)
@@ -64,11 +52,7 @@ class RecordingTask(Task):
         return recording.metrics(seed=self.seed), recording
 
     def failed(self, reason: str) -> tuple[Metrics, Recording]:
-        """Raise an error: the run ended its workers.
-
-        Raises:
-            ChildProcessError: always.
-        """
+        """Raise a `ChildProcessError`: the run ended its workers."""
         raise ChildProcessError(f"run of {self.variant} with seed {self.seed} failed: {reason}")
 
 

@@ -45,13 +45,9 @@ variants share these. The section `fields` keeps the defaults of each architectu
 
 
 class EpisodeDone(NamedTuple):
-    """Progress after an episode.
+    """Progress after an episode, with the reason if it failed.
 
-    Args:
-        episode: the episode.
-        error: reason of a failure; None if it did not fail.
-        num_done: number of episodes that this call has run.
-        num_left: number of episodes that were left before this call.
+    `num_done` counts the episodes of this call so far, `num_left` those left before this call.
     """
 
     episode: MapEpisode
@@ -61,13 +57,9 @@ class EpisodeDone(NamedTuple):
 
 
 class RunCounts(NamedTuple):
-    """Numbers of runs of a comparison.
+    """Numbers of runs of a comparison, and whether the user stopped it.
 
-    Args:
-        num_done: number of runs of this call, failed ones included.
-        num_failed: number of failed runs of this call.
-        num_former: number of runs of former calls.
-        is_interrupted: whether the user stopped it.
+    Former calls have run `num_former`, this call `num_done`, failed ones included.
     """
 
     num_done: int
@@ -78,15 +70,10 @@ class RunCounts(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class MapComparison:
-    """Result of a comparison on maps. `print` shows its tables.
+    """Result of a comparison on maps. `print` shows its tables, one for each map.
 
-    Args:
-        tables: one table for each map.
-        failures: one line for each reason of failed runs.
-        counts: numbers of runs.
-        num_episodes: number of planned runs.
-        results: path of the table of all rows, in Parquet.
-        page: path of the page, in HTML.
+    `failures` has a line for each reason of failed runs. `num_episodes` counts the planned runs.
+    `results` is the path of the table of all rows (Parquet), `page` that of the page (HTML).
     """
 
     tables: tuple[MapTable, ...]
@@ -197,19 +184,11 @@ def run_episodes(
     """Run the episodes that are missing in a store, and write its table of results.
 
     Failed ones are run again. Those of one map and variant run one after the other if possible,
-    because they share a compiled program. Ctrl-C keeps finished runs.
+    because they share a compiled program. Ctrl-C keeps finished runs. Only this process writes to
+    the store, and it calls `on_done` after each episode.
 
-    Args:
-        episodes: episodes to run.
-        store: store of the rows. Only this process writes there.
-        runner: runner of the episodes; this process when absent. It is closed at the end.
-        on_done: called in this process after each episode.
-        make: function that runs a batch. Other processes import it by name.
-
-    Raises:
-        ValueError: Ray or pyarrow are not installed; a cluster that cannot be reached; a store that
-            cannot be written.
-        ChildProcessError: workers that do not start.
+    The runner is this process when None, and is closed at the end. Other processes import `make`,
+    which runs a batch, by name.
     """
     left = make_batches(each for each in episodes if not store.is_done(each.id))
     num_left = sum(map(len, left))

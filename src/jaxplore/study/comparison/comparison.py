@@ -148,11 +148,7 @@ class Comparison:
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Check that names of variants can be file names.
-
-    Raises:
-        ValueError: a name that cannot.
-    """
+    """Check that names of variants can be file names."""
     for name in names:
         if not re.fullmatch(r"\w[\w.+ -]*", name):
             raise ValueError(
@@ -165,9 +161,6 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
     """Draw the curves of the metrics class: medians, and bands between the quartiles.
 
     A run that has ended keeps its last value.
-
-    Args:
-        runs: metrics by variant.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

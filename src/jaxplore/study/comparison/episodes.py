@@ -112,12 +112,8 @@ def make_episodes(
 ) -> tuple[MapEpisode, ...]:
     """Make an episode for each map, variant and seed, in this order.
 
-    Args:
-        maps: maps to compare on, at least one.
-        variants: architectures, or settings entries that differ, by name; at least one.
-        seeds: whole numbers >= 0, at least one.
-        settings: settings entries that all episodes share; see `common_settings`.
-        batch: runs computed side by side.
+    Variants are architectures, or settings entries that differ, by name. Settings are the entries
+    that all episodes share; see `common_settings`.
 
     Raises:
         ValueError: a batch < 1; no maps, variants or seeds, or one of them twice; an unknown
@@ -171,11 +167,7 @@ def make_episodes(
 def variant_entries(
     variants: Sequence[str] | Mapping[str, Entries],
 ) -> dict[str, dict[str, Any]]:
-    """Return the settings entries of each variant; empty for an architecture.
-
-    Raises:
-        ValueError: an unknown architecture, entries that are not accepted.
-    """
+    """Return the settings entries of each variant; empty for an architecture."""
     known = ARCHITECTURES
     found: dict[str, dict[str, Any]] = {}
     for given in variants:
@@ -193,11 +185,7 @@ def variant_entries(
 
 
 def _code(settings: Settings) -> str:
-    """Check what of the user's own settings name, and return the hash of its code.
-
-    Raises:
-        ValueError: a module that cannot be imported, or a name of something else.
-    """
+    """Check what of the user's own settings name, and return the hash of its code."""
     if is_own(settings.architecture):
         own_rule(settings.architecture)
     if is_own(settings.robot.model):
@@ -212,11 +200,7 @@ def _architecture(entries: Entries) -> dict[str, Any]:
 def common_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Normalise the entries that all runs share: 900 and 900.0 are the same time limit.
 
-    Args:
-        settings: settings entries; map, architecture and seed belong to each run and are left out.
-
-    Raises:
-        ValueError: an entry that is not accepted.
+    Map, architecture and seed belong to each run and are left out.
     """
     shared = {name: value for name, value in settings.items() if name not in _OWN}
     given = make_exploration_settings({**shared, "map": OFFICE})
@@ -242,11 +226,7 @@ def _check_same_robot(settings: Mapping[str, Settings]) -> None:
 
 
 def canonical(value: Any) -> str:
-    """Format plain values as JSON; equal values give the same text.
-
-    Raises:
-        ValueError: a value that JSON cannot hold.
-    """
+    """Format plain values as JSON; equal values give the same text."""
     try:
         return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
     except (TypeError, ValueError) as error:

@@ -28,13 +28,10 @@ _SUFFIXES = (".yaml", ".yml")
 
 @dataclasses.dataclass(frozen=True)
 class MapFile:
-    """A ROS map file.
+    """A ROS map: its name in the results, and the absolute path of its YAML file.
 
-    Args:
-        name: name of the map in the results.
-        path: absolute path of the map's YAML file.
-        content: hash of that file and of its image; a missing image counts as an empty one.
-        start: start pose; the position with the greatest clearance, heading along x, when absent.
+    `content` is a hash of that file and of its image; a missing image counts as an empty one. The
+    start is a pose; the position with the greatest clearance, heading along x, when None.
     """
 
     name: str
@@ -78,15 +75,9 @@ def maps_in(folder: str | os.PathLike[str]) -> tuple[MapFile, ...]:
 
 
 def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tuple[MapFile, ...]:
-    """Set the start poses of maps from a YAML file.
+    """Set the start poses of maps from a YAML file with a mapping NAME: [x, y, yaw] [m, m, rad].
 
-    Args:
-        maps: maps; one that is not in the file keeps its start.
-        file: YAML file with a mapping NAME: [x, y, yaw] [m, m, rad].
-
-    Raises:
-        ValueError: a file that cannot be read, an unknown name, a start that is not three
-            finite numbers.
+    A map that is not in the file keeps its start. An unknown name raises a ValueError.
     """
     starts = {str(name): value for name, value in read_settings(file).items()}
     known = [each.name for each in maps]
@@ -106,17 +97,9 @@ def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tupl
 def read_grid(
     path: str | os.PathLike[str], resolution: float, reading: Mapping[str, Any] | None = None
 ) -> OccupancyGrid:
-    """Read a ROS map at the resolution of a run; a finer map is resampled, a coarser one is kept.
+    """Read a ROS map at the resolution of a run [m]; a finer one is resampled, a coarser one kept.
 
-    It is relative to its datum, as in a run.
-
-    Args:
-        path: path of the map's YAML file.
-        resolution: side of a cell [m].
-        reading: arguments of `OccupancyGrid.from_ros` by which the image is read.
-
-    Raises:
-        ValueError: a map that cannot be read.
+    It is relative to its datum, as in a run. `reading` are arguments of `OccupancyGrid.from_ros`.
     """
     grid = OccupancyGrid.from_ros(path, datum=map_datum(path), **(reading or {}))
     # The tolerance keeps a map from resampling when both resolutions differ by rounding only.

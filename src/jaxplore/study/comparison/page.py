@@ -89,11 +89,9 @@ def page(
     seeds), and the path of each variant's first seed. A click on a path replays the run, with the
     robot and its map.
 
-    Args:
-        results: rows with the columns `SHOWN`.
-        maps: maps by name, as the runs used them; a missing one has no paths.
-        title: title of the page.
-        datums: points to which the grids of maps far from the origin are relative, by name.
+    The results need the columns `SHOWN`. Maps are by name, as the runs used them; a missing one has
+    no paths. Datums, by the name of the map, are the points to which the grids of maps far from the
+    origin are relative.
     """
     results = _relative(results, datums)
     told = html.escape(title)
@@ -147,13 +145,7 @@ def page_figures(
     maps: Mapping[str, OccupancyGrid],
     datums: Mapping[str, Datum] = NO_DATUMS,
 ) -> Iterator[tuple[str, "Figure"]]:
-    """Yield the figures of the page with names: the curves of each map, and each path.
-
-    Args:
-        results: rows with the columns `SHOWN`.
-        maps: maps by name; a missing one has no paths.
-        datums: points to which the grids of maps far from the origin are relative, by name.
-    """
+    """Yield the figures of the `page` with names: the curves of each map, and each path."""
     results = _relative(results, datums)
     for table in map_tables(results):
         runs = _shown(results, table.map)
@@ -187,13 +179,10 @@ def _relative(results: Sequence[Row], datums: Mapping[str, Datum]) -> list[Row]:
 
 
 def curves_figure(runs: Sequence[Row]) -> "Figure":
-    """Draw coverage over time for each variant: medians, and bands between the quartiles.
+    """Draw coverage over time for each variant on a map: medians, and bands between the quartiles.
 
     A run that has ended keeps its last value. The time axis ends when three quarters of the runs
     have ended, because a random walk would compress all others.
-
-    Args:
-        runs: rows of one map.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -232,15 +221,7 @@ def _around(places: np.ndarray, size: int) -> slice:
 
 
 def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
-    """Draw the path of a run on the true map.
-
-    A rotated map is drawn along its own axes.
-
-    Args:
-        row: row of the run.
-        grid: the map.
-        part: rows and columns of the map that are drawn.
-    """
+    """Draw the path of a run on a part of the true map; a rotated map along its own axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -30,9 +30,7 @@ class Replay(NamedTuple):
 def seen_cells(picture: bytes, shape: tuple[int, int]) -> np.ndarray | None:
     """Return the levels of a replay's picture, row 0 at the bottom; None if it is none of a map.
 
-    Args:
-        picture: the PNG; it may have more rows at the top and more columns at the right.
-        shape: number of rows and columns of the map.
+    The PNG may have more rows at the top and more columns at the right than the map.
     """
     try:
         cells = np.asarray(Image.open(io.BytesIO(picture), formats=("PNG",)))

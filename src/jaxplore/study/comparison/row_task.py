@@ -18,12 +18,7 @@ MakeRows = Callable[[EpisodeBatch], Sequence[Row]]
 
 
 def make_rows(batch: EpisodeBatch) -> tuple[Row, ...]:
-    """Run a batch of episodes and return their rows; several episodes run in one `jax.vmap`.
-
-    Raises:
-        ValueError: settings, a map or a start that are not accepted.
-        KeyboardInterrupt: the user stopped the runs.
-    """
+    """Run a batch of episodes and return their rows; several episodes run in one `jax.vmap`."""
     first = batch[0]
     settings = make_exploration_settings(with_start(first.entries))
     experiment = build_exploration(settings, first.map_shape)
@@ -49,24 +44,14 @@ def make_rows(batch: EpisodeBatch) -> tuple[Row, ...]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RowTask(EpisodeTask):
-    """A batch of episodes on a map, whose result is their rows.
-
-    Args:
-        episodes: the batch.
-        make: function that runs the batch.
-    """
+    """A batch of episodes on a map, which `make` runs. The result is their rows."""
 
     episodes: EpisodeBatch
     make: MakeRows = make_rows
 
     @classmethod
     def from_episodes(cls, episodes: EpisodeBatch, make: MakeRows = make_rows) -> "RowTask":
-        """Make the task of a batch of episodes.
-
-        Args:
-            episodes: the batch.
-            make: function that runs the batch.
-        """
+        """Make the task of a batch of episodes."""
         first = episodes[0]
         return cls(
             name=first.id,

@@ -79,14 +79,7 @@ def make_row(
     *,
     settings: Settings,
 ) -> Row:
-    """Make the row of a run.
-
-    Args:
-        episode: the episode that was run.
-        recording: recording of the run.
-        metrics: metrics of the same run.
-        settings: settings of the run, its start included.
-    """
+    """Make the row of a run from its recording, its metrics and its settings, with the start."""
     time, coverage, _, _ = progress(recording)
     stride = max(1, round(CURVE_PERIOD / recording.control_period))
     kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
@@ -123,12 +116,7 @@ def make_row(
 
 
 def failed_row(episode: MapEpisode, error: str) -> Row:
-    """Make the row of a failed run.
-
-    Args:
-        episode: the failed episode.
-        error: reason of the failure; it is joined to one line.
-    """
+    """Make the row of a failed run; the reason is joined to one line."""
     row: Row = dict.fromkeys(COLUMNS)
     row |= _first_columns(episode, " ".join(error.split()) or "unknown")
     # The results name the user's file and not its copy on another machine.
@@ -138,14 +126,7 @@ def failed_row(episode: MapEpisode, error: str) -> Row:
 
 
 class StoredRow(NamedTuple):
-    """A row in the form in which it is sent and stored.
-
-    Args:
-        id: id of the episode.
-        map: name of the map.
-        error: reason of a failure; None if the run did not fail.
-        data: the row as a Parquet file.
-    """
+    """A row as a Parquet file, as it is sent and stored; `error` is None if the run succeeded."""
 
     id: str
     map: str
@@ -154,11 +135,7 @@ class StoredRow(NamedTuple):
 
 
 def store_row(row: Row) -> StoredRow:
-    """Convert a row to the form in which it is sent and stored.
-
-    Raises:
-        ValueError: pyarrow is not installed.
-    """
+    """Convert a row to the form in which it is sent and stored."""
     pyarrow, parquet = (
         import_optional("pyarrow", "comparison"),
         import_optional("pyarrow.parquet", "comparison"),
@@ -171,12 +148,7 @@ def store_row(row: Row) -> StoredRow:
 
 
 def is_row(row: Row, id_: str) -> bool:
-    """Check that a row that was read is one of a run, with all or nothing of what a page shows.
-
-    Args:
-        row: the row.
-        id_: id of the run.
-    """
+    """Check that a row that was read is one of a run, with all or nothing of what a page shows."""
     if row["id"] != id_ or any(row[name] is None for name in KEYS):
         return False
     if row["error"] is not None or row["curve_time"] is None:
@@ -198,11 +170,7 @@ def is_row(row: Row, id_: str) -> bool:
 
 
 def schema() -> Any:
-    """Return the pyarrow schema of the columns.
-
-    Raises:
-        ValueError: pyarrow is not installed.
-    """
+    """Return the pyarrow schema of the columns."""
     pyarrow = import_optional("pyarrow", "comparison")
     kinds = {
         "int32": pyarrow.int32(),

@@ -115,30 +115,18 @@ class Store:
         return error is None
 
     def put(self, row: StoredRow) -> None:
-        """Write the file of a run, completely or not at all.
-
-        Raises:
-            ValueError: the folder cannot be written.
-        """
+        """Write the file of a run, completely or not at all."""
         write_whole(self._file(row.id), lambda file: file.write(row.data), _WHAT)
         self._damaged -= {self._file(row.id)}
         self._state[row.id] = (row.map, row.error)
 
     def rows(self, columns: Sequence[str] | None = None) -> list[Row]:
-        """Return all rows, by map, variant and seed.
-
-        Args:
-            columns: names of the columns; all when absent.
-        """
+        """Return all rows, by map, variant and seed, with the `columns` or with all of them."""
         wanted = None if columns is None else list(dict.fromkeys([*KEYS, *columns]))
         return [row for _, row in sorted(_read(self._files(), wanted), key=_place)]
 
     def write_results(self) -> Path:
-        """Write the table of all rows, completely or not at all, and return its path.
-
-        Raises:
-            ValueError: the folder cannot be written.
-        """
+        """Write the table of all rows, completely or not at all, and return its path."""
         parquet, pyarrow = (
             import_optional("pyarrow.parquet", "comparison"),
             import_optional("pyarrow", "comparison"),
@@ -159,15 +147,7 @@ class Store:
     def write_page(
         self, maps: Mapping[str, OccupancyGrid], datums: Mapping[str, Datum] = NO_DATUMS
     ) -> Path:
-        """Write the page of all results, completely or not at all, and return its path.
-
-        Args:
-            maps: maps by name; see `page`.
-            datums: their datums.
-
-        Raises:
-            ValueError: the folder cannot be written.
-        """
+        """Write the `page` of all results, completely or not at all, and return its path."""
         text = page(self.rows(SHOWN), maps, f"Comparison {self.folder.name}", datums)
         target = self.folder / PAGE
         write_whole(target, lambda file: file.write(text.encode()), _WHAT)
@@ -179,16 +159,7 @@ class Store:
         kinds: Sequence[str],
         datums: Mapping[str, Datum] = NO_DATUMS,
     ) -> None:
-        """Write the figures of the page into the folder `figures`.
-
-        Args:
-            maps: maps by name; see `page`.
-            kinds: formats, of `figure_formats`.
-            datums: datums of the maps by name.
-
-        Raises:
-            ValueError: the folder cannot be written.
-        """
+        """Write the figures of the page, in `figure_formats`, into the folder `figures`."""
         folder = self.folder / FIGURES
         with in_one_line(_WHAT, folder):
             folder.mkdir(exist_ok=True)
@@ -219,16 +190,12 @@ class Store:
 def open_store(
     folder: str | os.PathLike[str], plan: Plan | None = None, *, overwrite: bool = False
 ) -> Store:
-    """Open or create the store in a folder.
+    """Open or create the store in a folder, and its missing parents.
 
-    A former comparison is continued. Maps, variants and seeds may be added; the settings, the batch
-    size and the content and starts of the maps must stay. Settings may change as long as no run has
-    succeeded, and a map as long as no run on it has.
-
-    Args:
-        folder: missing parents are made.
-        plan: runs to do; None to read former results.
-        overwrite: whether to remove a former comparison first.
+    A former comparison is continued, or removed first with `overwrite`. Without a plan its results
+    are only read. Maps, variants and seeds may be added; the settings, the batch size and the
+    content and starts of the maps must stay. Settings may change as long as no run has succeeded,
+    and a map as long as no run on it has.
 
     Raises:
         ValueError: a folder that cannot be written, or that does not hold a comparison of the same

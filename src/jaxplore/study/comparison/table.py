@@ -36,12 +36,10 @@ NEEDED = ("map", "explorer", "seed", "error", "is_finished", *(each.name for eac
 
 
 class MapTable(NamedTuple):
-    """Table of the results on one map.
+    """Table of the results on one map: the header, then a row for each variant.
 
-    Args:
-        map: name of the map.
-        rows: the header, then a row for each variant. The lines of a cell are the median, the
-            quartiles if they differ, and the ratio to the reference's median.
+    The lines of a cell are the median, the quartiles if they differ, and the ratio to the
+    reference's median.
     """
 
     map: str
@@ -54,11 +52,7 @@ class MapTable(NamedTuple):
 
 
 def map_tables(results: Sequence[Row]) -> list[MapTable]:
-    """Make a table for each map with a successful run.
-
-    Args:
-        results: rows with the columns `NEEDED`; failed ones are left out.
-    """
+    """Make a table for each map with a successful run, from rows with the columns `NEEDED`."""
     runs = [row for row in results if row["error"] is None]
     return [
         MapTable(name, _rows([row for row in runs if row["map"] == name]))

@@ -36,16 +36,8 @@ def before_and_after(
 ) -> bytes | None:
     """Run a scenario with several candidates and one seed, and return a GIF of all runs.
 
-    Args:
-        episodes: episodes whose parameters are searched.
-        scenario: name of the scenario.
-        candidates: candidates to draw by title, from left to right.
-        seed: seed of the runs.
-        options: frames per second and size of the film.
-        on_progress: called with the share that is done, 0 to 1.
-
-    Returns:
-        The GIF; None if the user stopped it.
+    It is None if the user stopped it. Candidates are by title, from left to right. `on_progress` is
+    called with the share that is done, 0 to 1.
     """
     recordings = {}
     for title, candidate in candidates.items():
@@ -64,13 +56,9 @@ def side_by_side(
 ) -> bytes:
     """Return a GIF of several runs side by side, at the same simulated time.
 
-    A finished run keeps its last frame while the others continue.
-
-    Args:
-        recordings: recordings of the runs by title, from left to right; each picture has its title
-            as caption, and the last one the speed of the film.
-        options: frames per second and size of the film.
-        on_progress: called with the share that is done, 0 to 1.
+    A finished run keeps its last frame while the others continue. Recordings are by title, from
+    left to right. Each picture has its title as caption, and the last one the speed of the film.
+    `on_progress` is called with the share that is done, 0 to 1.
     """
     runs = list(recordings.values())
     instants = [[frame.time for frame in each.frames] for each in runs]

@@ -108,11 +108,7 @@ class ControllerEpisodes(Episodes):
 
 
 def leaf_value(controller: Any, name: str) -> float:
-    """Return one parameter of a controller, `path` or `path[i]`.
-
-    Raises:
-        ValueError: an unknown path, or an array without an index.
-    """
+    """Return one parameter of a controller, `path` or `path[i]`."""
     path, index = split_index(name)
     value = np.asarray(get_parameters(controller)[find_parameter(controller, path)])
     if index is None and value.size != 1:
@@ -128,11 +124,7 @@ def leaf_value(controller: Any, name: str) -> float:
 
 
 def leaf_elements(controller: Any, name: str) -> tuple[str, ...]:
-    """Return a path, or for an array `path[i]` for each of its elements.
-
-    Raises:
-        ValueError: an unknown path.
-    """
+    """Return a path, or for an array `path[i]` for each of its elements."""
     if "[" in name:
         return (name,)
     size = get_parameters(controller)[find_parameter(controller, name)].size

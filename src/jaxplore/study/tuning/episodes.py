@@ -105,11 +105,9 @@ class Episodes(abc.ABC):
 class MetricsTask(EpisodeTask):
     """A task that runs episodes of several candidates with the same scenario, seed and sizes.
 
-    Args:
-        episodes: those that run together.
-        build: function that makes the experiment of an episode from it and from the setting that
-            locates the map or path. Other processes import it by name.
-        together: runner of the batch; the episodes run one after the other when absent.
+    `build` makes the experiment of an episode from it and from the setting that locates the map or
+    path. Other processes import it by name. `together` runs the batch; without it the episodes run
+    one after the other.
     """
 
     episodes: tuple[Episode, ...]
@@ -166,14 +164,7 @@ def make_tasks(
     batch: int,
     together: SideBySide | None,
 ) -> list[MetricsTask]:
-    """Group episodes into tasks; a task has several if they can run as a batch.
-
-    Args:
-        episodes: the episodes, any number.
-        build: see `MetricsTask`.
-        batch: greatest number of episodes in a task.
-        together: see `MetricsTask`.
-    """
+    """Group episodes into tasks; a task has up to `batch` of them if they can run as a batch."""
 
     def alike(episode: Episode) -> tuple[Any, ...]:
         return episode.scenario, episode.seed, episode.time_limit, _sizes(episode.candidate)
@@ -204,11 +195,7 @@ def report_each(
 
 
 def check_batch(batch: int) -> int:
-    """Check a batch size, and return it.
-
-    Raises:
-        ValueError: a number < 1.
-    """
+    """Check that a batch size is at least 1, and return it."""
     if batch < 1:
         raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
     return batch

@@ -27,12 +27,7 @@ _STATES = ("done", "given up", "failed")
 
 @contextmanager
 def former_study(optuna: Any, path: Path, name: str) -> Iterator[Any]:
-    """Yield a copy of the study that a file stores, or None if it stores none.
-
-    Args:
-        optuna: the module.
-        path: path of the database; it is only read.
-        name: name of the study.
+    """Yield a copy of the study that a database stores, or None; the database is only read.
 
     Raises:
         Exception: a file that is no database, a damaged one, or one that stores something else. The
@@ -130,15 +125,7 @@ def _num_trials(path: Path) -> int:
 
 
 def check_content(study: Any, search: Search) -> None:
-    """Check that a study holds what a search stores.
-
-    Args:
-        study: study of Optuna.
-        search: definition of the search.
-
-    Raises:
-        Exception: content of another form.
-    """
+    """Check that a study of Optuna holds what a search stores; other content is an error."""
     expected = {each.name: distribution(each) for each in search.space.parameters}
     directions = [each.name for each in study.directions]
     _require(directions == ["MINIMIZE"] * len(search.objectives))

@@ -18,17 +18,11 @@ type Limits = Mapping[Where, float]
 
 
 class Generations:
-    """Evaluation of generations, one after the other.
+    """Evaluation of generations, one after the other; the current values are the first candidate.
 
     A search can be continued after an interruption at any time: candidates are stored before they
     are evaluated, episodes when they are finished, and the final states of a whole generation
     before any of its candidates is reported to Optuna.
-
-    Args:
-        search: definition of the search.
-        episodes: where candidates are evaluated.
-        study: study of Optuna, which stores the episodes.
-        start: current values, which are the first candidate.
     """
 
     def __init__(self, search: Search, episodes: Episodes, study: Any, start: Candidate) -> None:
@@ -48,16 +42,9 @@ class Generations:
     ) -> None:
         """Evaluate a generation, or the rest of it.
 
-        Args:
-            numbers: numbers of the generation's candidates.
-            ask: function that returns the candidates of the generation; called if some are not
-                stored.
-            limits: time after which each episode is stopped [s].
-            show: function that is called with the number of finished candidates, after each episode
-                and at the end.
-
-        Raises:
-            KeyboardInterrupt: the user stopped it; finished episodes are stored.
+        `ask` returns its candidates; it is called if some are not stored. Each episode is stopped
+        after its limit [s]. `show` is called with the number of finished candidates, after each
+        episode and at the end. After Ctrl-C finished episodes stay stored.
         """
         trials = self._opened(numbers, ask)
         known = {each.number: read_episodes(each.user_attrs) for each in trials}

@@ -154,11 +154,7 @@ class Objective:
 
 
 def known_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
-    """Return the names of the metrics of a class; a name that ends with a dot is a prefix.
-
-    Args:
-        metrics_type: class of the metrics.
-    """
+    """Return the names of the metrics of a class; a name that ends with a dot is a prefix."""
     names: list[str] = []
     for field in dataclasses.fields(metrics_type):
         if field.name in ("time_to", "path_to"):
@@ -202,16 +198,12 @@ def is_late(names: Iterable[str], metrics: Numbers) -> bool:
 
 
 def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
-    """Replace missing times of events that did not happen within the time limit.
+    """Replace missing times of events that did not happen within the time limit [s].
 
     Such a time is `limit (1 + missing)`, where `missing` is the share of the task that was left: of
     the coverage, the path, the targets, or the distance to the goal. So the objective still
     improves gradually in a search that starts with settings that never finish. Each such time adds
     the metric `late.NAME`, 1.
-
-    Args:
-        metrics: metrics of one episode.
-        limit: the scenario's time limit [s].
     """
     filled = dict(metrics)
     coverage = metrics.get("coverage")

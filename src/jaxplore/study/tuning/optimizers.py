@@ -32,14 +32,9 @@ NAMES = (*OPTUNA, *EVOSAX, *PYRIBS)
 class Evaluated(NamedTuple):
     """An evaluated candidate.
 
-    Args:
-        candidate: value of each parameter.
-        rank: rank in its generation, 0 for the best; candidates that were stopped early or failed
-            come last.
-        state: "done", "given up" or "failed".
-        values: values of the objectives; empty if it failed.
-        num_episodes: number of evaluated episodes.
-        measures: values of the measures of quality diversity.
+    Its rank in its generation is 0 for the best; candidates that were stopped early or failed come
+    last. The state is "done", "given up" or "failed". `values` are those of the objectives, empty
+    if it failed, and `measures` those of the measures of quality diversity.
     """
 
     candidate: Candidate
@@ -68,20 +63,10 @@ class Optimizer(abc.ABC):
 
 
 class OptunaOptimizer(Optimizer):
-    """A sampler of Optuna, which supports choices and several objectives.
+    """A sampler of Optuna, see `OPTUNA`, which supports choices and several objectives.
 
     Source: Akiba, Sano, Yanase, Ohta, Koyama, "Optuna: a next-generation hyperparameter
     optimization framework", KDD 2019.
-
-    Args:
-        name: name of the sampler, see `OPTUNA`.
-        space: search space.
-        population: candidates in a generation.
-        seed: seed; the same seed gives the same candidates.
-        num_objectives: number of objectives.
-
-    Raises:
-        ValueError: Optuna is not installed.
     """
 
     def __init__(
@@ -147,22 +132,13 @@ class OptunaOptimizer(Optimizer):
 
 
 class EvosaxOptimizer(Optimizer):
-    """An evolution strategy of evosax on the unit cube.
+    """An evolution strategy of evosax, see `EVOSAX`, on the unit cube.
 
     Proposals outside the cube are reflected at its sides. The strategy receives ranks instead of
     values: the scale of the objective does not matter, and a failed candidate is simply the last.
+    The start is the initial mean, and the population an even number >= 4.
 
     Source: Lange, "evosax: JAX-based evolution strategies", GECCO 2023.
-
-    Args:
-        name: name of the strategy, see `EVOSAX`.
-        space: search space.
-        start: initial mean.
-        population: number of candidates in a generation, an even number >= 4.
-        seed: seed; the same seed gives the same candidates.
-
-    Raises:
-        ValueError: evosax is not installed.
     """
 
     def __init__(
@@ -250,22 +226,13 @@ def reflected(places: np.ndarray) -> np.ndarray:
 
 
 class RibsOptimizer(Optimizer):
-    """Quality diversity by CMA-ME of pyribs, which finds the best candidate of each cell of the
-    measures.
+    """Quality diversity by CMA-ME of pyribs: the best candidate of each cell of the measures.
+
+    The start is the initial mean. Each measure has a lower and an upper bound in `ranges`, and a
+    number of cells.
 
     Source: Fontaine, Togelius, Nikolaidis, Hoover, "Covariance matrix adaptation for the rapid
     illumination of behavior space", GECCO 2020.
-
-    Args:
-        space: search space.
-        start: initial mean.
-        population: candidates in a generation.
-        seed: seed; the same seed gives the same candidates.
-        ranges: lower and upper bound of each measure.
-        cells: number of cells along each measure.
-
-    Raises:
-        ValueError: pyribs is not installed.
     """
 
     def __init__(

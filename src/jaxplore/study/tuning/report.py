@@ -32,11 +32,7 @@ _WHAT = "study folder"
 
 
 def write_settings(study: Study, chosen: Trial, folder: Path) -> Path | None:
-    """Write the settings of a candidate and return the path; None if no settings were tuned.
-
-    Raises:
-        ValueError: the folder cannot be written.
-    """
+    """Write the settings of a candidate and return the path; None if no settings were tuned."""
     if not isinstance(study.episodes, SettingsEpisodes):
         return None
     entries = study.episodes.chosen_settings(chosen.candidate)
@@ -50,12 +46,7 @@ def _write(target: Path, data: bytes) -> Path:
 
 
 def record(study: Study, found: TuningResult) -> dict[str, Any]:
-    """Summarise a search as plain values: its definition and its result.
-
-    Args:
-        study: the search.
-        found: result of the search.
-    """
+    """Summarise a search as plain values: its definition and its result."""
     trials = study.trials()
     states = ("done", "given up", "failed")
     seeds, chosen = sorted({seed for _, seed in found.before}), found.chosen
@@ -97,16 +88,8 @@ def write_results(
 ) -> list[Path]:
     """Write tables, figures, the summary and the page, and return their paths.
 
-    Args:
-        study: the search.
-        found: result of the search.
-        folder: folder of the study.
-        title: title of the page.
-        animation: GIF of runs before and after; none when absent.
-        kinds: formats of the figures; the page shows them as PNG.
-
-    Raises:
-        ValueError: the folder cannot be written.
+    `animation` is a GIF of runs before and after. `kinds` are the formats of the figures; the page
+    shows them as PNG.
     """
     text = yaml.safe_dump(record(study, found), sort_keys=False, allow_unicode=True)
     texts = {

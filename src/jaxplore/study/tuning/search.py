@@ -134,15 +134,7 @@ class Search:
 
 
 def make_optimizer(search: Search, start: Candidate) -> Optimizer:
-    """Make the optimizer of a search.
-
-    Args:
-        search: search that the optimizer proposes candidates for.
-        start: current values.
-
-    Raises:
-        ValueError: its library is not installed.
-    """
+    """Make the optimizer that proposes candidates for a search. The start is the current values."""
     if search.optimizer in OPTUNA:
         return OptunaOptimizer(
             search.optimizer, search.space, search.population, search.seed, len(search.objectives)

@@ -283,9 +283,7 @@ class SettingsEpisodes(Episodes):
 def build_entries(entries: Entries, _: Episode, location: Entries) -> Experiment:
     """Build the experiment of an episode in a worker.
 
-    Args:
-        entries: settings entries with the candidate's values.
-        location: setting that locates the map or path on this machine.
+    `location` is the setting that locates the map or path on this machine.
     """
     return build(make_settings({**entries, **location}))
 

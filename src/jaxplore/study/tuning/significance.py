@@ -76,11 +76,7 @@ def change(
 ) -> Change:
     """Compute the change of a quantity, episode by episode; see `paired_difference`.
 
-    Args:
-        name: name of the quantity.
-        before: one value for each episode.
-        after: the values of the same episodes after the search.
-        level: share of the best episodes that is left out of the means, see `tail_mean`.
+    The share `level` of the best episodes is left out of the means, see `tail_mean`.
     """
     difference = paired_difference(before, after, level=level)
     first, second = (
@@ -96,12 +92,7 @@ def changes(
 ) -> list[Change]:
     """Compute the changes of the objectives, then of the metrics to show.
 
-    An episode that failed before or after is left out.
-
-    Args:
-        objectives: objectives that were minimized.
-        before: metrics by scenario and seed.
-        after: the metrics of the same episodes after the search.
+    Metrics are by scenario and seed. An episode that failed before or after is left out.
     """
     where = [each for each in before if before[each] and after.get(each)]
     found = []
@@ -137,10 +128,7 @@ def _counted(
 def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change]) -> str:
     """Summarise in a sentence whether the search has improved the settings.
 
-    Args:
-        chosen: number of the candidate; 0 is the current settings.
-        objectives: objectives that were minimized.
-        found: changes on unseen seeds.
+    `chosen` is 0 for the current settings, and `found` are the changes on unseen seeds.
     """
     names = set(map(str, objectives))
     if chosen == 0:

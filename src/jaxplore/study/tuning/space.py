@@ -176,15 +176,10 @@ _RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(:log|:whole|:log:whole)?")
 
 
 def parse_parameter(text: str, start: Value | None = None) -> Parameter:
-    """Parse a parameter.
+    """Parse a parameter: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`.
 
-    Args:
-        text: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`; `NAME` alone for the range from
-            a tenth to ten times its current value.
-        start: current value. If it is a whole number, only whole numbers are searched.
-
-    Raises:
-        ValueError: another text; bounds or choices that are not accepted.
+    `NAME` alone is the range from a tenth to ten times its current value `start`. If that is a
+    whole number, only whole numbers are searched.
     """
     name, separator, rest = (part.strip() for part in text.partition("="))
     # A bool is an int in Python, but no number to search between bounds.
@@ -224,11 +219,7 @@ def parse_parameter(text: str, start: Value | None = None) -> Parameter:
 
 
 def distribution(parameter: Parameter) -> Any:
-    """Convert a parameter to a distribution of Optuna.
-
-    Raises:
-        ValueError: Optuna is not installed.
-    """
+    """Convert a parameter to a distribution of Optuna."""
     distributions = import_optional("optuna.distributions", "tuning")
     if parameter.choices is not None:
         return distributions.CategoricalDistribution(parameter.choices)

@@ -31,12 +31,7 @@ UNSEEN = 10
 
 
 def further_seeds(first: int, seeds: int) -> range:
-    """Return the seeds on which finalists are compared: twice as many as in the search.
-
-    Args:
-        first: first seed that the search has not used.
-        seeds: number of seeds of the search.
-    """
+    """Return the seeds to compare finalists on, from `first`: twice as many as in the search."""
     return range(first, first + max(2 * seeds, 6))
 
 
@@ -177,14 +172,8 @@ def compare_on_unseen(
 ) -> TuningResult:
     """Compare a candidate with the current values on seeds that the search did not use.
 
-    Args:
-        study: the search.
-        chosen: candidate to compare.
-        seeds: seeds of the episodes in each scenario.
-        on_progress: called with the number of finished episodes, and of all.
-
-    Raises:
-        KeyboardInterrupt: the user stopped it; finished episodes are stored.
+    `on_progress` is called with the number of finished episodes, and of all. After Ctrl-C finished
+    episodes stay stored.
     """
     found = study.evaluate((BEFORE, chosen.number), seeds, on_progress)
     return _result(study, chosen, found[BEFORE], found[chosen.number], is_complete=True)
@@ -230,15 +219,7 @@ def _animation(
 
 
 def build_space(parameters: Sequence[Parameter | str], episodes: Episodes) -> Space:
-    """Build the search space; an array parameter stands for all of its elements.
-
-    Args:
-        parameters: see `tune`.
-        episodes: where candidates are evaluated.
-
-    Raises:
-        ValueError: an unknown name, bounds that are not accepted.
-    """
+    """Build the search space; an array parameter stands for all of its elements."""
     found: list[Parameter] = []
     for each in parameters:
         name = each.name if isinstance(each, Parameter) else each.partition("=")[0].strip()

@@ -8,12 +8,9 @@ from jaxplore.study.workers.task import Task
 
 
 class Event(NamedTuple):
-    """A message from a worker, or the notice of its death.
+    """A message from a worker, or the notice of its death with the reason in a few words.
 
-    Args:
-        worker: number of the worker.
-        result: result of the worker's task; None from a worker that is ready without a task.
-        death: reason of the worker's death in a few words; None while it lives.
+    The result is None from a worker that is ready without a task. `death` is None while it lives.
     """
 
     worker: int
@@ -33,9 +30,7 @@ class WorkerPool(abc.ABC):
     def start(self, example: Task) -> None:
         """Start another worker, which reports when it is ready.
 
-        Args:
-            example: task like those to come. The worker imports the modules that it needs and does
-                not run it.
+        It imports the modules of `example`, a task like those to come, and does not run it.
         """
 
     @abc.abstractmethod

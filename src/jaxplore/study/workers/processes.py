@@ -19,11 +19,7 @@ _END_TIMEOUT = 10.0
 
 
 class ProcessPool(WorkerPool):
-    """A pool of spawned processes. Forked ones would inherit JAX's threads and locks.
-
-    Args:
-        number: number of processes.
-    """
+    """A pool of spawned processes. Forked ones would inherit JAX's threads and locks."""
 
     def __init__(self, number: int) -> None:
         self._number = number

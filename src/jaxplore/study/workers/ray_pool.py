@@ -22,10 +22,8 @@ _CONNECT_TIMEOUT = 10.0
 class RayPool(WorkerPool):
     """A pool of Ray actors with one processor each, which receive files with their tasks.
 
-    Args:
-        number: number of workers; None for as many as the cluster has processors.
-        address: address of the cluster to join; a local one is started when absent, unless Ray is
-            in use. All parts of a local one listen on 127.0.0.1 only.
+    The number is that of the cluster's processors when None. Without an address a local cluster is
+    started, unless Ray is in use. All parts of a local one listen on 127.0.0.1 only.
 
     Raises:
         ValueError: Ray is not installed, or the cluster cannot be reached.
@@ -149,13 +147,7 @@ class _Worker:
         """Return when the worker is ready for a task."""
 
     def run(self, task: Task, keys: Sequence[str], *files: Files) -> Any:
-        """Run a task and return its result.
-
-        Args:
-            task: task to run.
-            keys: keys of the task's files.
-            files: content of the files, for each key.
-        """
+        """Run a task, whose files come by their keys, and return its result."""
         for key, each in zip(keys, files, strict=True):
             if key not in self._folders:
                 folder = Path(tempfile.mkdtemp(dir=self._top.name))

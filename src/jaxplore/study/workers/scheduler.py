@@ -14,11 +14,7 @@ MAX_FALSE_STARTS = 3
 
 
 class Scheduler:
-    """Scheduler of tasks over a pool of workers, which stay for the next call.
-
-    Args:
-        pool: worker pool without started workers.
-    """
+    """Scheduler of tasks over a pool without started workers. They stay for the next call."""
 
     def __init__(self, pool: WorkerPool) -> None:
         self._pool = pool
@@ -29,11 +25,7 @@ class Scheduler:
         self._false_starts = 0
 
     def run[T: Task](self, tasks: Sequence[T], on_result: Callable[[T, Any], None]) -> None:
-        """Run tasks, and return when all have a result.
-
-        Args:
-            tasks: tasks to run, any number.
-            on_result: called with each task and its result, in the order of completion.
+        """Run tasks, and call `on_result` with each and its result, in the order of completion.
 
         Raises:
             ChildProcessError: workers do not start.
@@ -133,12 +125,7 @@ class _Queue[T: Task]:
         return bool(self._groups.get(group))
 
     def take(self, last: Task | None, busy: Counter[Hashable]) -> T:
-        """Return the next task for a worker.
-
-        Args:
-            last: the worker's last task.
-            busy: number of other workers at each group.
-        """
+        """Return a worker's next task after `last`; `busy` counts other workers at each group."""
         if last is not None and self.has(last.group):
             return self._groups[last.group].popleft()
         waiting = {group: len(tasks) for group, tasks in self._groups.items() if tasks}

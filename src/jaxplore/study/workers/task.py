@@ -48,36 +48,20 @@ class Task(abc.ABC):
         return {}
 
     def located(self, folders: Mapping[str, Path]) -> "Task":
-        """Return the task with its files in other folders.
-
-        Args:
-            folders: folders by the keys of `files`.
-        """
+        """Return the task with its files in other folders, by the keys of `files`."""
         return self
 
     @abc.abstractmethod
     def run(self) -> Any:
-        """Run the task and return the result. A failure is a result too.
-
-        Raises:
-            KeyboardInterrupt: the user stopped it.
-        """
+        """Run the task and return the result. A failure is a result too."""
 
     @abc.abstractmethod
     def failed(self, reason: str) -> Any:
-        """Return the result of a failed task, which killed its workers or has unreadable files.
-
-        Args:
-            reason: reason of the failure in a few words.
-        """
+        """Return the result of a failed task, which killed its workers or has unreadable files."""
 
 
 def run_task(task: Task) -> Any:
-    """Run a task in this process; drop compiled programs first if memory mappings run out.
-
-    Raises:
-        KeyboardInterrupt: the user stopped it.
-    """
+    """Run a task in this process; drop compiled programs first if memory mappings run out."""
     mappings = Path("/proc/self/maps")
     if mappings.exists() and mappings.read_bytes().count(b"\n") > MAX_MEMORY_MAPS:
         jax.clear_caches()  # type: ignore[no-untyped-call]
