@@ -237,7 +237,7 @@ class ObstacleTracker(eqx.Module):
         )
         is_there = (clusters.num_points >= LEAST_POINTS) & (clusters.width <= WIDEST)
         tracks = self._predict(tracks, elapsed)
-        measured = self._centres(tracks, clusters, pose)
+        measured = self._centres(clusters, pose)
         tracks, of_cluster = self._associate(tracks, measured, clusters, is_there)
         tracks = self._miss(tracks, sensor, scan, pose, elapsed)
         tracks, of_cluster = self._begin(tracks, measured, is_there, of_cluster)
@@ -297,7 +297,7 @@ class ObstacleTracker(eqx.Module):
             still=jnp.where(tracks.speed < STILL_SPEED, tracks.still + elapsed, 0.0),
         )
 
-    def _centres(self, tracks: Tracks, clusters: Clusters, pose: Pose) -> Float[Array, "K 2"]:
+    def _centres(self, clusters: Clusters, pose: Pose) -> Float[Array, "K 2"]:
         """Return the centres of the discs on whose near sides the clusters are."""
         away = clusters.middle - pose[:2]
         distance = jnp.maximum(jnp.linalg.norm(away, axis=-1, keepdims=True), 1e-3)

@@ -98,7 +98,7 @@ class BeamTable(eqx.Module):
         self.stride = stride
         self.no_return = no_return
         self.is_simple = noise is None and no_return
-        reading = _readings(rays.entry, rays.exit, noise, resolution)
+        reading = _readings(rays.exit, noise, resolution)
         self.reading = on_device(reading.astype(np.float32))
         self.kept = on_device(reading.sum(axis=-1).astype(np.float32))
         self.length = on_device(rays.is_crossed.sum(axis=1).astype(np.int32))
@@ -324,9 +324,7 @@ def in_blocks(values: Array) -> Array:
     return jnp.pad(values, [(0, more)] + [(0, 0)] * (values.ndim - 1))
 
 
-def _readings(
-    entry: np.ndarray, exit_: np.ndarray, noise: RangeNoise | None, resolution: float
-) -> np.ndarray:
+def _readings(exit_: np.ndarray, noise: RangeNoise | None, resolution: float) -> np.ndarray:
     """Tabulate the range noise as a band, (D, N, 2 width + 1).
 
     Entry [d, s, i] is the probability G of a reading in cell s - width + i of ray d, given that the

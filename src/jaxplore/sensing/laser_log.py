@@ -221,13 +221,13 @@ def _unpack(path: Path) -> bytes:
     """
     data = read_bytes(path, "a CARMEN log", LOG_LIMIT)
     if data[:2] == b"\x1f\x8b":
-        data = _inflate(data, path)
+        data = _inflate(data)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", "replace").encode("ascii", "replace")
     return data.removeprefix(b"\xef\xbb\xbf")
 
 
-def _inflate(data: bytes, path: Path) -> bytes:
+def _inflate(data: bytes) -> bytes:
     """Return what gzip has packed; of a damaged file what comes before the damage."""
     parts: list[bytes] = []
     size = 0

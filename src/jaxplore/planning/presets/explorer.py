@@ -223,5 +223,5 @@ def _ground_mppi(
     """Build MPPI whose noise is half the range of each control unless it is given."""
     sizes: dict[str, Any] = {"horizon": horizon, "num_samples": num_samples, "dt": dt}
     std = robot.control_half_range if noise_std is None else noise_std
-    parts = sampling(robot, std, **sizes, importance=1.0, **numbers)
+    parts = sampling(std, **sizes, importance=1.0, **numbers)
     return MPPI(robot, cost, **sizes, **parts._asdict())

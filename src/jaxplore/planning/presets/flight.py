@@ -112,7 +112,6 @@ class Flight(NamedTuple):
         else:
             std = self.noise_std
         return sampling(
-            robot,
             std,
             horizon=self.horizon,
             num_samples=self.num_samples,

@@ -259,7 +259,7 @@ def _template(
     std = computed(lambda _, *each: each[0] * each[1], share, robot.control_half_range)
     # No likelihood ratio: over tens of steps it would reduce the effective sample size to about
     # one in a thousand.
-    return MPPI(robot, cost, **sizes, **sampling(robot, std, **sizes, **numbers)._asdict())
+    return MPPI(robot, cost, **sizes, **sampling(std, **sizes, **numbers)._asdict())
 
 
 def _weights(

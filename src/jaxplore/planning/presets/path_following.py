@@ -280,7 +280,7 @@ def mpcc(
     progress = PathParameter.along(path, _bound(robot) if max_speed is None else max_speed)
     progress_std = _checks.scalar("progress_noise", progress_noise, above=0.0)[None]
 
-    def proposal(model: Dynamics, std: Vector) -> GaussianProposal:
+    def proposal(std: Vector) -> GaussianProposal:
         # Checks the standard deviations, which are scaled afterwards.
         given = GaussianProposal(std).noise_std
         assert given is not None
@@ -291,8 +291,8 @@ def mpcc(
         robot,
         progress,
         total,
-        physical_proposal=proposal(robot, noise_std),
-        virtual_proposal=proposal(progress, progress_std),
+        physical_proposal=proposal(noise_std),
+        virtual_proposal=proposal(progress_std),
         horizon=horizon,
         num_samples=num_samples,
         temperature=temperature,

@@ -18,7 +18,6 @@ from jaxplore.control.proposals import GaussianProposal
 from jaxplore.control.quasi_random_noise import SobolNoise
 from jaxplore.control.smooth import Smooth
 from jaxplore.control.weighting import AdaptiveSoftmax, Elite, Softmax, Weighting
-from jaxplore.dynamics.base import Dynamics
 
 PARAMETERISATIONS = ("direct", "smooth", "knots")
 NOISES = ("gaussian", "coloured", "sobol", "bank")
@@ -37,7 +36,6 @@ class Sampling(NamedTuple):
 
 
 def sampling(
-    robot: Dynamics,
     noise_std: Vector,
     *,
     horizon: int,
