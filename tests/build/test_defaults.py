@@ -173,6 +173,8 @@ def _reachable_cells_of_a_place_are_computed_once():
         yield
 
 
+# People walk in the perimeter, and a quadrotor says that it knows nothing of them.
+@pytest.mark.filterwarnings("ignore:architecture .* knows nothing of people:UserWarning")
 @pytest.mark.parametrize(("place", "architecture"), CASES)
 def test_settings_and_python_build_equal_controllers(place: str, architecture: str) -> None:
     found = build(make_settings({"map": place, "architecture": architecture}))
