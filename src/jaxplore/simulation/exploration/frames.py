@@ -21,7 +21,7 @@ def frame_arrays(
     sensor: Sensor,
     state: StateVector,
     belief: Belief,
-    is_seen: Bool[Array, " M"],
+    is_seen: Bool[Array, " T"],
     scan: Scan,
     movers: Float[Array, "M 3"] | None,
     plan: SampledPlan | None,
