@@ -84,13 +84,13 @@ def map_scan(robot: Robot, own: RobotState, inputs: MapInputs) -> tuple[RobotSta
     Return what it knows after, and the cells (H, W) that are known to be free.
     """
     pose, scan, elapsed, motions = inputs
-    measured = _measured(pose, scan, elapsed, is_scan_due=True)._replace(motions=motions)
+    measured = _make_measurement(pose, scan, elapsed, is_scan_due=True)._replace(motions=motions)
     own, sight = robot.examine(own, measured)
     own, _ = robot.map_scans(own, measured, sight)
     return own, own.belief.grid.is_free
 
 
-def _measured(pose: Pose, scan: Scan, elapsed: Scalar, *, is_scan_due: bool) -> Measurement:
+def _make_measurement(pose: Pose, scan: Scan, elapsed: Scalar, *, is_scan_due: bool) -> Measurement:
     """Return what a robot measures when either its scan or its fields are due."""
     due, none = jnp.array(True), jnp.array(False)
     flags = (due, elapsed, none, elapsed) if is_scan_due else (none, elapsed, due, elapsed)
@@ -114,7 +114,7 @@ def update_fields(
     """
     beams = robot.sensors[0].num_beams
     blank = Scan(jnp.zeros(beams), jnp.zeros(beams, bool))
-    measured = _measured(pose, blank, elapsed, is_scan_due=False)
+    measured = _make_measurement(pose, blank, elapsed, is_scan_due=False)
     own = robot.update_fields(own, measured, Sight.at(pose))
     return own, own.belief.guidance(pose[:2])
 
