@@ -45,6 +45,8 @@ RING[6:25, 5:25] = False  # closed walls around the robot
 class ToTheWall(Controller):
     """Drives ahead in slight curves, brakes near the wall, and remembers what it was told."""
 
+    brake_at: jax.Array = eqx.field(default_factory=lambda: jnp.asarray(BRAKE_AT))
+
     def init(self):
         return jnp.zeros((), jnp.int32), jnp.zeros((STEPS, 5))
 
@@ -53,7 +55,7 @@ class ToTheWall(Controller):
         _, _, yaw, _, turn = observation
         # The command differs in every step, as those of MPPI do.
         noise = jax.random.uniform(key, (2,), minval=-0.3, maxval=0.3)
-        ahead = jnp.where(observation[0] < BRAKE_AT, 0.7, -1.0)
+        ahead = jnp.where(observation[0] < self.brake_at, 0.7, -1.0)
         command = jnp.clip(
             jnp.stack([ahead, -2.0 * yaw - 2.0 * turn]) + noise,
             ROBOT.control_min,
@@ -100,8 +102,10 @@ def scenario(
     return made.guarded(MotionGuard())
 
 
-def drive(task: ExplorationScenario, seed: int = 0, delay: int = 0) -> Watched:
-    controller, key = ToTheWall(), jax.random.key(seed)
+def drive(
+    task: ExplorationScenario, seed: int = 0, delay: int = 0, brake_at: float = BRAKE_AT
+) -> Watched:
+    controller, key = ToTheWall(jnp.asarray(brake_at)), jax.random.key(seed)
     state = initial_loop_state(controller, task, key)
     state = eqx.tree_at(lambda at: at.drawn.control_delay, state, jnp.asarray(delay, jnp.int32))
     first = np.asarray(state.task.robot)[None]
@@ -167,12 +171,28 @@ def test_without_a_pose_it_brakes_to_rest_and_says_why(free, fault, code, within
     np.testing.assert_array_equal(coverage, coverage[0])
 
 
+def blind_guard() -> MotionGuard:
+    """A guard that never finds that the odometry is frozen, and checks no command."""
+    guard = MotionGuard(max_frozen=100.0)
+    return eqx.tree_at(lambda each: each.check.margin, guard, jnp.asarray(-100.0))
+
+
 def test_without_a_guard_it_runs_into_the_wall() -> None:
-    """It has one that never finds that the odometry is frozen."""
-    task = scenario(Faults(frozen_odometry=(1.5, 10.0), **NO_WALLS))
-    found = drive(task.guarded(MotionGuard(max_frozen=100.0)))
+    task = scenario(Faults(frozen_odometry=(1.5, 10.0), **NO_WALLS)).guarded(blind_guard())
+    found = drive(task)
     assert not (found.records.stop == FROZEN).any()
     assert found.records.is_collision.any()
+
+
+def test_a_controller_that_does_not_brake_is_kept_from_the_wall() -> None:
+    free = drive(scenario().guarded(blind_guard()), brake_at=100.0)
+    assert free.records.is_collision.any()
+    kept = drive(scenario(), brake_at=100.0)
+    assert not kept.records.is_collision.any()
+    assert not kept.records.stop.any()
+    # It comes as near as it can stop: the rest is the margin and what one period is long.
+    last = kept.robots[-1, 0] + float(ROBOT.radius)
+    assert 3.9 - 0.2 < last < 3.9
 
 
 def test_it_goes_on_when_the_pose_is_back() -> None:

@@ -41,6 +41,8 @@ BETTER = 0.25
 """Share of the error of the known delay below which another delay is taken to be the true one."""
 NOISE = 1e-6
 """Squared relative error of a prediction that is rounding."""
+WALL_MARGIN = 0.0
+"""Margin of the check of commands [m]: less than the margins of costs, or both would be at odds."""
 _POSE = ("x", "y", "z", "yaw")
 
 
@@ -53,7 +55,8 @@ class ScanPoints(NamedTuple):
         misfit: share of the returns that contradict the map, see `plausibility.scan_misfit`.
         time: time of the scan [s]; infinite where the robot has no scans.
         interval: time between two scans [s].
-        speeds: (P,) speeds with which points may move [m/s]; None where nothing does.
+        speeds: (P,) speeds with which points may move [m/s], 0 of walls; None where points say
+            nothing of commands, as on hills, which return beams like walls.
     """
 
     points: Float[Array, "P 2"]
@@ -64,10 +67,12 @@ class ScanPoints(NamedTuple):
     speeds: Float[Array, " P"] | None = None
 
     @classmethod
-    def blank(cls, number: int, time: float = math.inf, *, can_move: bool = False) -> "ScanPoints":
+    def blank(
+        cls, number: int, time: float = math.inf, *, is_on_hills: bool = False
+    ) -> "ScanPoints":
         """Return `number` points that do not count, of a scan at a time; of none when absent."""
         nothing, at = jnp.zeros(()), jnp.asarray(time, jnp.float32)
-        speeds = jnp.zeros(number) if can_move else None
+        speeds = None if is_on_hills else jnp.zeros(number)
         is_point = jnp.zeros(number, bool)
         return cls(jnp.zeros((number, 2)), is_point, nothing, at, nothing, speeds)
 
@@ -123,10 +128,14 @@ class MotionGuard(eqx.Module):
     0.3 s, is taken if it explains the motion four times better than the known one does. The
     controller then plans from the state in which its command takes effect, `predicted_state`.
 
+    A command is checked against the newest scan (`keep_clear`): it is replaced by one that brakes
+    if the robot could not stand after it without coming too close to what the scan has met.
+
     Args:
         max_frozen: time for which the pose may be the same while the robot should move [s].
         max_delay: longest delay of commands that is recognised [control periods]; static.
-        check: braking trajectories; a `StopCheck` with its defaults when absent.
+        check: check of commands and braking trajectories; a `StopCheck` without a margin when
+            absent.
         max_age: greatest age of a scan [s].
 
     Raises:
@@ -150,7 +159,7 @@ class MotionGuard(eqx.Module):
         self.max_frozen = _checks.scalar("max_frozen", max_frozen, above=0.0)
         self.max_age = _checks.scalar("max_age", max_age, above=0.0)
         self.max_delay = _checks.whole_number("max_delay", max_delay, at_least=0)
-        self.check = StopCheck() if check is None else check
+        self.check = StopCheck(WALL_MARGIN) if check is None else check
 
     def init(self, robot: Dynamics, state: StateVector) -> GuardState:
         """Return the state of the guard of a robot at rest.
@@ -265,8 +274,8 @@ class MotionGuard(eqx.Module):
         time: Scalar,
         period: Scalar,
     ) -> ControlVector:
-        """Return the command (nu,), or the one that brakes, where something that moves could reach
-        the robot before it stands.
+        """Return the command (nu,), or the one that brakes, where the robot could not stand before
+        it comes within the margin of `StopCheck` of a point, or before what moves could reach it.
 
         Args:
             robot: model of the robot.
@@ -281,11 +290,10 @@ class MotionGuard(eqx.Module):
             return control
         number = self.delay(state, jnp.zeros((), jnp.int32)).astype(jnp.float32)
         age = time - scan.time + number * period
-        is_point = scan.is_point & (scan.speeds > 0.0)
-        is_wall = scan.is_point & ~is_point
-        args = (robot, start, control, period, scan.points, is_point, scan.speeds, age, is_wall)
+        is_wall = scan.is_point & (scan.speeds == 0.0)
+        args = robot, start, control, period, scan.points, scan.is_point, scan.speeds, age, is_wall
         # As for braking: a loop of one iteration or none.
-        is_needed = is_point.any() & jnp.isfinite(control).all()
+        is_needed = scan.is_point.any() & jnp.isfinite(control).all()
         kept: ControlVector = jax.lax.fori_loop(
             0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args).control, control
         )

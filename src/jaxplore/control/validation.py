@@ -1,6 +1,6 @@
 """Check that the robot can stop after a command, and brake in the best way if it cannot."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
-from jaxplore._types import ArrayLike, ControlVector, Flag, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.collision import discs_clearance
 
@@ -40,10 +40,11 @@ class StopCheck(eqx.Module):
     """Checks commands of any controller against the newest measurements themselves.
 
     A command is safe if the robot, after executing it and then braking as hard as it can, has kept
-    a margin from all measured points until it stands. So every safe command leaves a way to stop
+    a margin from all measured points until it stands. It may brake straight or along one of
+    `num_turns` trajectories that steer to either side. So every safe command leaves a way to stop
     (passive safety). If it is not safe, it is replaced by the beginning of the braking trajectory
-    that keeps the greatest distance, of `num_turns` that steer to either side. A robot that is
-    within the margin already may move if it gets no closer.
+    that keeps the greatest distance. A robot that is within the margin already may move if it gets
+    no closer.
 
     A point that may move with a speed s is a disc that grows until the robot stands, because it may
     go anywhere: after the time t since it was measured it has the radius s t. So the robot is at
@@ -109,8 +110,8 @@ class StopCheck(eqx.Module):
             is_point: (P,) points that count.
             speeds: (P,) speeds with which they may move [m/s]; 0 when absent.
             age: time from their measurement to the state [s]; 0 when absent.
-            is_wall: (P,) points that do not count for the command, but that the robot shall not
-                touch while it brakes; none when absent.
+            is_wall: (P,) points that stand, which the robot shall not touch while it evades what
+                moves; none when absent.
         """
         # Shapes are static, so points that do not count are moved far away.
         far = FAR + robot.position(state)
@@ -136,42 +137,56 @@ class StopCheck(eqx.Module):
             walls."""
 
             def step(
-                carry: tuple[StateVector, Scalar, Scalar, Scalar], _: None
-            ) -> tuple[tuple[StateVector, Scalar, Scalar, Scalar], None]:
-                at, least, free, time = carry
+                carry: tuple[StateVector, Scalar, Scalar, Count, Flag],
+            ) -> tuple[StateVector, Scalar, Scalar, Count, Flag]:
+                at, least, free, number, _ = carry
                 after = robot.step(
                     at, robot.stopping_control(at, self.time_step, turn), self.time_step
                 )
-                # Who touches a robot that stands does so by himself.
                 is_moving = jnp.any(jnp.abs(robot.pose(after) - robot.pose(at)) > AT_REST)
-                time = jnp.where(is_moving, time + self.time_step, time)
-                least, free = jnp.minimum(least, gap(after, time)), jnp.minimum(free, room(after))
-                return (after, least, free, time), None
+                # Who touches a robot that stands does so by himself.
+                passed = (number + is_moving.astype(jnp.int32)).astype(jnp.float32)
+                least = jnp.minimum(least, gap(after, time + passed * self.time_step))
+                return after, least, jnp.minimum(free, room(after)), number + 1, is_moving
+
+            def goes_on(carry: tuple[StateVector, Scalar, Scalar, Count, Flag]) -> Flag:
+                return carry[4] & (carry[3] < self.num_steps)
 
             # A robot that touches a wall already may leave it.
-            carry = (start, gap(start, time), jnp.asarray(jnp.inf), time)
-            (_, least, free, _), _ = jax.lax.scan(step, carry, None, length=self.num_steps)
+            begin = gap(start, time), jnp.asarray(jnp.inf), jnp.zeros((), jnp.int32)
+            carry = (start, *begin, jnp.array(True))
+            _, least, free, *_ = jax.lax.while_loop(goes_on, step, carry)
             return least, free
 
         # In the middle of a long command the robot may be closer than at its end.
         half = robot.step(state, control, 0.5 * duration)
         after = robot.step(half, control, 0.5 * duration)
         here = gap(state, began)
-        braked, _ = braking(after, jnp.zeros(()), began + duration)
-        planned = jnp.minimum(gap(half, began + 0.5 * duration), braked)
+        passed = gap(half, began + 0.5 * duration)
         # A robot within the margin may move if it gets no closer, but for rounding. With more it
         # would creep on in each control period.
-        is_safe = planned >= jnp.minimum(self.margin, here - ROUNDING)
+        enough = jnp.minimum(self.margin, here - ROUNDING)
+        is_command = jnp.isfinite(control).all()
         turns = jnp.linspace(-1.0, 1.0, self.num_turns) if self.num_turns > 1 else jnp.zeros(1)
-        gaps, rooms = jax.vmap(lambda turn: braking(state, turn, began))(turns)
-        # Of equal ones the straightest: distances are rounded to a millimetre for that. First of
-        # all one that touches no wall: that contact is sure, and somebody may go elsewhere.
-        touches = jnp.maximum(self.margin - rooms, 0.0)
-        best = jnp.argmax(jnp.round(gaps, 3) - 1e-4 * jnp.abs(turns) - TOUCH * touches)
-        stopping = robot.stopping_control(state, duration, turns[best])
-        is_safe = is_safe & jnp.isfinite(control).all()
-        return Validated(
-            jnp.where(is_safe, control, stopping),
-            ~is_safe,
-            jnp.where(is_safe, planned, gaps[best]),
-        )
+
+        def turn_after(*_: Any) -> Scalar:
+            gaps, _ = jax.vmap(lambda turn: braking(after, turn, began + duration))(turns)
+            return jnp.minimum(passed, jnp.max(gaps))
+
+        def brake(*_: Any) -> tuple[ControlVector, Scalar]:
+            gaps, rooms = jax.vmap(lambda turn: braking(state, turn, began))(turns)
+            # Of equal ones the straightest: distances are rounded to a millimetre for that. First
+            # of all one that touches no wall: that contact is sure, and somebody may go elsewhere.
+            touches = jnp.maximum(self.margin - rooms, 0.0)
+            best = jnp.argmax(jnp.round(gaps, 3) - 1e-4 * jnp.abs(turns) - TOUCH * touches)
+            return robot.stopping_control(state, duration, turns[best]), gaps[best]
+
+        # Loops of one iteration or none: after most commands the robot can brake straight, and
+        # turns cost the most.
+        straight, _ = braking(after, jnp.zeros(()), began + duration)
+        planned = jnp.minimum(passed, straight)
+        is_tried = is_command & ~(planned >= enough)
+        planned = jax.lax.fori_loop(0, jnp.where(is_tried, 1, 0), turn_after, planned)
+        is_safe = is_command & (planned >= enough)
+        kept, least = jax.lax.fori_loop(0, jnp.where(is_safe, 0, 1), brake, (control, planned))
+        return Validated(kept, ~is_safe, least)

@@ -171,7 +171,7 @@ class Robot(NamedTuple):
             def keep(_: ScanPoints) -> tuple[ScanPoints]:
                 found = scan_points(
                     *(own.belief, self.sensors, measured.scans, measured.pose, expected),
-                    *(time, measured.since_scan, self.perception.tracker),
+                    *(time, measured.since_scan, self.perception),
                 )
                 return (found,)
 

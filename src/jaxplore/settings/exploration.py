@@ -226,8 +226,8 @@ class Settings(RunSettings):
         portfolio: settings of the architecture `portfolio`.
         informative: settings of informative MPPI and of its baselines.
         rates: rates of control, sensing and fields.
-        guard: whether the robot brakes while its pose, its scan or its motion cannot be true: see
-            `jaxplore.MotionGuard`. A fleet has none.
+        guard: whether the robot brakes while its pose, its scan or its motion cannot be true, and
+            before what its scan has met: see `jaxplore.MotionGuard`. A fleet has none.
         fleet: several robots that share what they know; one robot when absent.
         people: people who walk on the map, and how the robot minds them.
     """

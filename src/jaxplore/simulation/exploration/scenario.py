@@ -430,6 +430,7 @@ class ExplorationScenario(Scenario):
             self.sensors,
             pose=pose,
             is_guarded=self.guard is not None,
+            is_on_hills=self.perception.ground is not None,
             can_tip=self.chassis is not None,
             place=place,
             odometer=odometer,

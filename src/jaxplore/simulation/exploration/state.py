@@ -106,6 +106,7 @@ def initial_state(
     *,
     pose: Pose,
     is_guarded: bool = False,
+    is_on_hills: bool = False,
     can_tip: bool = False,
     place: PoseKnowledge | None = None,
     odometer: Odometer | None = None,
@@ -113,9 +114,9 @@ def initial_state(
     """Return the state at the start.
 
     `belief` has no moving obstacles yet. `is_guarded` says whether a guard needs the end points of
-    scans, `can_tip` whether the robot has a chassis that can tip over. `pose` [m, m, rad] is its
-    true pose. `place` is what it knows of its pose, and `odometer` the odometry of the run; both
-    are None if it knows its pose.
+    scans, `is_on_hills` whether these may be of the ground, `can_tip` whether the robot has a
+    chassis that can tip over. `pose` [m, m, rad] is its true pose. `place` is what it knows of its
+    pose, and `odometer` the odometry of the run; both are None if it knows its pose.
     """
     number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None and belief.tracks is None:
@@ -125,7 +126,7 @@ def initial_state(
     points, unfit = None, None
     if is_guarded:
         unfit = jnp.asarray(FITTING)
-        points = ScanPoints.blank(number, 0.0, can_move=belief.tracks is not None)
+        points = ScanPoints.blank(number, 0.0, is_on_hills=is_on_hills)
     return ExplorationState(
         robot=start,
         own=RobotState(belief, Knowledge.nothing(), points, place, unfit),
