@@ -65,7 +65,7 @@ def cases(task: str, period: float) -> Iterator[Case]:
 def guarded(experiment: Experiment, *, is_guarded: bool) -> Experiment:
     """Return an experiment with or without the guard."""
     guard = MotionGuard() if is_guarded else None
-    return experiment._replace(scenario=experiment.scenario.guarded(guard))
+    return experiment._replace(scenario=experiment.scenario.with_guard(guard))
 
 
 def measure(task: str, seeds: range, *, is_guarded: bool) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from jaxplore import (
 )
 from jaxplore.information import GaussianNoise, LocalFieldSensor
 from jaxplore.information.trajectory import METHODS
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 RESOLUTION, RANGE = 0.1, 5.0
 NOISES = {
@@ -116,7 +116,7 @@ def _exploration(sizes: Sizes) -> list[OccupancyGrid]:
     for _ in range(sizes.scans):
         # Scans come at 10 Hz, controls at 50 Hz.
         given = controller, scenario, key, jnp.asarray(5, jnp.int32)
-        state, _, _ = run_chunk(given, copied(state), sizes.capacity)
+        state, _, _ = run_chunk(given, copy_tree(state), sizes.capacity)
         beliefs.append(state.task.belief.grid)
     return beliefs
 

@@ -126,7 +126,7 @@ def _match(matcher: Any, known: Any, ends: Any) -> Any:
 
 def _corrected(localiser: Any, known: Any, scan: Any, sensors: Any) -> Any:
     # The stored scans are not returned: the loop updates them in place, and a call copies them.
-    after = localiser.corrected(known, (scan,), sensors)
+    after = localiser.correct(known, (scan,), sensors)
     return after.pose, after.covariance, after.surface, after.drift
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxplore.control.base import Controller
 from jaxplore.simulation.chunks import CHUNK_SECONDS
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 from jaxplore.simulation.scenario import Scenario
 
 
@@ -91,7 +91,7 @@ class TimedLoop:
         self.scenario, self.key, self.chunk = scenario, key, chunk
         # A few steps at a time run the very program of `simulate`.
         self._capacity = max(chunk, round(CHUNK_SECONDS / float(scenario.period)))
-        self.state = copied(initial_loop_state(self.controller, scenario, key))
+        self.state = copy_tree(initial_loop_state(self.controller, scenario, key))
 
     def run(self, count: int) -> float:
         """Run a number of steps, and return how long they took [s]. The first call compiles."""

@@ -10,7 +10,7 @@ Adam (optax) follows it from settings that are poor on purpose.
 A closed loop has such a derivative where everything in it has one: here the path, the distance from
 the cones, the car's model and the softmax. These have none, or one that does not say where to go:
 
-- contacts: `Dynamics.blocked` holds a robot at once
+- contacts: `Dynamics.resolve_collision` holds a robot at once
 - occupancy grids: a cell is free or not by a threshold, a beam ends in one cell or in the next
 - choices: of frontiers and targets, of a portfolio's members, of the rollouts that are `Elite`
 

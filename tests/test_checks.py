@@ -63,7 +63,7 @@ def test_vector_refuses(value: object) -> None:
     ],
 )
 def test_a_wrong_value_is_described_in_a_few_words(value: object, words: str) -> None:
-    assert _kinds.described(value) == words
+    assert _kinds.describe(value) == words
 
 
 def test_instance_refuses() -> None:
@@ -113,8 +113,8 @@ def test_a_number_of_another_unit_is_warned_of() -> None:
 def test_a_shape_is_accepted_as_it_is_and_lists_become_arrays() -> None:
     given = np.zeros(3)
     assert _checks.pose("pose", given) is given
-    assert _checks.shaped("dt", 0.1, ()) == 0.1
-    made = _checks.shaped("points", [(0, 1), [2.5, 3]], ("N", 2))
+    assert _checks.of_shape("dt", 0.1, ()) == 0.1
+    made = _checks.of_shape("points", [(0, 1), [2.5, 3]], ("N", 2))
     assert made.dtype == jnp.float32
     np.testing.assert_array_equal(made, [[0.0, 1.0], [2.5, 3.0]])
     mixed = jax.jit(lambda x: _checks.position("position", [x, 2.0]))(jnp.float32(1.0))

@@ -14,8 +14,8 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore._locks import hidden_folder
-from jaxplore.build.exploration import compared_architectures
+from jaxplore._locks import reserve_hidden_folder
+from jaxplore.build.exploration import choose_architectures
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import _show, _streams, main
 from jaxplore.cli._entries import option_entries
@@ -447,7 +447,7 @@ def test_a_map_says_what_can_be_compared_on_it(
     if entries is not None:
         Path("room.yaml").write_text(yaml.safe_dump(ROOM | entries))
         more = {"map": "room.yaml", **more}
-    assert list(compared_architectures({"architecture": "two-layer", **more})) == expected
+    assert list(choose_architectures({"architecture": "two-layer", **more})) == expected
 
 
 def test_compare_takes_all_that_the_map_allows_and_seeds_from_the_first(
@@ -610,7 +610,7 @@ def test_a_folder_that_another_process_writes_is_refused_before_anything_runs(
 ) -> None:
     monkeypatch.setattr("jaxplore.cli._run.build", lambda _: pytest.fail("it runs"))
     Path("runs").mkdir()
-    with hidden_folder(Path("runs").absolute() / "a") as hidden:
+    with reserve_hidden_folder(Path("runs").absolute() / "a") as hidden:
         assert is_reserved(Path("runs/a"))
         reason = fails("run", "office", "--out", "runs/a")
         assert f"is in use by another process, number {os.getpid()}; accepted" in reason

@@ -45,10 +45,10 @@ def test_a_traced_value_is_its_type() -> None:
 
 
 def test_a_cost_is_written_as_it_is_made() -> None:
-    cost = 2.0 * jx.ObstacleCost(0.5) + jx.GoalCost([1.0, 2.0]).named("dock")
+    cost = 2.0 * jx.ObstacleCost(0.5) + jx.GoalCost([1.0, 2.0]).with_name("dock")
     text = repr(cost)
     assert text.startswith("2 * ObstacleCost(clearance=0.5")
-    assert ".named('dock')" in text
+    assert ".with_name('dock')" in text
     assert "goal=[1, 2]" in text
     both = repr(0.5 * (jx.ControlCost() + jx.ControlCost()))
     assert both == "0.5 * (ControlCost() + ControlCost())"

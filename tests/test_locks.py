@@ -14,18 +14,18 @@ from jaxplore import _locks
 from jaxplore._files import replace_files
 from jaxplore._locks import (
     InUseError,
-    hidden_container,
-    hidden_file,
-    hidden_folder,
     lock,
+    open_hidden_container,
+    open_hidden_file,
     put_folder,
+    reserve_hidden_folder,
     sweep,
 )
 from jaxplore.report.folder import (
     check_folder,
     is_reserved,
-    locked_folder,
-    reserved_folder,
+    lock_folder,
+    reserve_folder,
     run_folder,
     write_whole,
 )
@@ -33,17 +33,17 @@ from jaxplore.report.folder import (
 KILLED = """
 import contextlib, os, signal, sys
 from pathlib import Path
-from jaxplore._locks import hidden_file, hidden_folder, lock
+from jaxplore._locks import lock, open_hidden_file, reserve_hidden_folder
 
 top = Path(sys.argv[1])
 with contextlib.ExitStack() as stack:
     for name in ("run", "moved"):
-        hidden = stack.enter_context(hidden_folder(top / name))
+        hidden = stack.enter_context(reserve_hidden_folder(top / name))
         hidden.mkdir()
         (hidden / "half").write_text("1")
     # Between the two renames of a replacement.
     (top / "moved").rename(hidden.with_name(hidden.name + "-former"))
-    stack.enter_context(hidden_file(top / "file")).write_text("1")
+    stack.enter_context(open_hidden_file(top / "file")).write_text("1")
     stack.enter_context(lock(top / "study" / ".jaxplore.lock"))
     os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -74,9 +74,9 @@ def test_what_a_killed_process_has_left_is_swept_and_what_is_alive_stays(tmp_pat
     strange[1].mkdir()
     (tmp_path / ".jaxplore-0123456789ab.lock").symlink_to("moved")
     with (
-        hidden_folder(tmp_path / "alive") as hidden,
-        hidden_file(tmp_path / "other") as file,
-        hidden_container(tmp_path / "bag") as container,
+        reserve_hidden_folder(tmp_path / "alive") as hidden,
+        open_hidden_file(tmp_path / "other") as file,
+        open_hidden_container(tmp_path / "bag") as container,
     ):
         hidden.mkdir()
         check_folder(tmp_path / "new")
@@ -85,7 +85,7 @@ def test_what_a_killed_process_has_left_is_swept_and_what_is_alive_stays(tmp_pat
         assert file.is_file()
         assert is_reserved(tmp_path / "alive")
     assert (tmp_path / "moved" / "metrics.json").read_text() == "former"
-    with locked_folder(tmp_path / "study", "study folder"):
+    with lock_folder(tmp_path / "study", "study folder"):
         assert tree(tmp_path / "study") == [".jaxplore.lock"]
     assert set(tree(tmp_path)) == {
         *("moved", "moved/metrics.json", "study"),
@@ -98,7 +98,7 @@ def test_what_a_killed_process_has_left_is_swept_and_what_is_alive_stays(tmp_pat
 def test_a_run_folder_that_is_written_is_refused_at_once(tmp_path: Path) -> None:
     write(tmp_path / "run", "former")
     told = rf"run folder '.*run' is in use by another process, number {os.getpid()}; accepted"
-    with reserved_folder(tmp_path / "run", overwrite=True):
+    with reserve_folder(tmp_path / "run", overwrite=True):
         # The same thread writes the folder that it has reserved; another one may not.
         errors: list[BaseException] = []
 
@@ -118,21 +118,21 @@ def test_a_run_folder_that_is_written_is_refused_at_once(tmp_path: Path) -> None
         write(tmp_path / "run", "new", overwrite=True)
     assert (tmp_path / "run" / "metrics.json").read_text() == "new"
     assert tree(tmp_path) == ["run", "run/metrics.json"]
-    with reserved_folder(tmp_path / "a" / "b" / "run"):
+    with reserve_folder(tmp_path / "a" / "b" / "run"):
         pass
     assert tree(tmp_path) == ["run", "run/metrics.json"]
 
 
 def test_a_folder_that_is_refused_keeps_no_lock(tmp_path: Path) -> None:
     for _ in range(2):
-        with pytest.raises(RuntimeError), locked_folder(tmp_path / "a" / "study", "study folder"):
+        with pytest.raises(RuntimeError), lock_folder(tmp_path / "a" / "study", "study folder"):
             raise RuntimeError
     assert tree(tmp_path) == []
-    with locked_folder(tmp_path / "study", "study folder"):
+    with lock_folder(tmp_path / "study", "study folder"):
         (tmp_path / "study" / "study.db").touch()
         with (
             pytest.raises(ValueError, match=r"study folder .* is in use by another process"),
-            locked_folder(tmp_path / "study", "study folder"),
+            lock_folder(tmp_path / "study", "study folder"),
         ):
             pass
         assert tree(tmp_path / "study") == [".jaxplore.lock", "study.db"]
@@ -170,7 +170,7 @@ def test_a_lock_is_the_file_at_its_path(tmp_path: Path, monkeypatch: pytest.Monk
 
     removed: list[Path] = []
     monkeypatch.setattr(os, "open", swept)
-    with hidden_file(tmp_path / "file") as file:
+    with open_hidden_file(tmp_path / "file") as file:
         assert [file] != removed
         assert tree(tmp_path) == [file.name]
     assert tree(tmp_path) == []
@@ -184,7 +184,7 @@ def test_a_disk_without_locks_refuses_and_sweeps_nothing(
 
     monkeypatch.setattr(fcntl, "flock", none)
     target = tmp_path / "run"
-    with hidden_folder(target) as one, hidden_folder(target) as other:
+    with reserve_hidden_folder(target) as one, reserve_hidden_folder(target) as other:
         assert one != other
         one.mkdir()
         sweep(tmp_path)

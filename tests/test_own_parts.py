@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore.build.own import own_code
+from jaxplore.build.own import hash_user_code
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.settings.sections import read_settings
@@ -258,7 +258,7 @@ def test_runs_on_maps_are_those_of_one_version_of_the_code(mine) -> None:
     assert ids()[1] == explorer
     with pytest.raises(ValueError, match="has no Far"):
         make_episodes(maps_in("maps"), (mine("Far"),), (0,), {})
-    assert own_code(make_settings({"map": "office"})) == ""
+    assert hash_user_code(make_settings({"map": "office"})) == ""
 
 
 def test_a_search_has_the_settings_that_ones_own_reads(mine) -> None:

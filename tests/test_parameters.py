@@ -26,7 +26,7 @@ def controller(whole, temperature=0.5) -> jx.MPPI:
 
 @pytest.fixture(scope="module")
 def example() -> jx.MPPI:
-    return controller(2.0 * cost() + 3.0 * cost().named("other") + jx.ControlRateCost())
+    return controller(2.0 * cost() + 3.0 * cost().with_name("other") + jx.ControlRateCost())
 
 
 def test_paths_are_the_names_of_fields_and_of_costs(example) -> None:
@@ -105,7 +105,7 @@ def test_other_numbers_compile_nothing_anew(example) -> None:
     assert traces == 1
     assert not np.array_equal(first, second)
     # The same as one that was built so.
-    costs = 2.0 * cost() + 0.1 * cost().named("other") + jx.ControlRateCost()
+    costs = 2.0 * cost() + 0.1 * cost().with_name("other") + jx.ControlRateCost()
     built = controller(costs, temperature=50.0)
     np.testing.assert_array_equal(second, plan(built))
 

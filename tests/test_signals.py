@@ -14,8 +14,8 @@ from jaxplore import _signals, cli
 from jaxplore._signals import (
     ENDING,
     STOPPING,
-    held,
-    interrupting,
+    hold,
+    interrupt_on_end_signals,
     is_ending,
     stop_requests,
 )
@@ -40,16 +40,16 @@ def _nothing(*_: Any) -> None:
 
 @pytest.mark.parametrize("number", STOPPING)
 def test_each_signal_interrupts_a_command(number: int) -> None:
-    with pytest.raises(KeyboardInterrupt), interrupting():
+    with pytest.raises(KeyboardInterrupt), interrupt_on_end_signals():
         signal.raise_signal(number)
     assert is_ending() == (number in ENDING)
-    with interrupting():
+    with interrupt_on_end_signals():
         assert not is_ending()
 
 
 @pytest.mark.parametrize("number", STOPPING)
 def test_each_signal_is_a_request_where_a_loop_asks(number: int) -> None:
-    with interrupting(), stop_requests() as requested:
+    with interrupt_on_end_signals(), stop_requests() as requested:
         assert not requested.is_set()
         signal.raise_signal(number)
         assert requested.is_set()
@@ -65,7 +65,7 @@ def test_a_terminal_that_ends_does_not_interrupt_the_saving(
 ) -> None:
     now = 100.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
-    with interrupting():
+    with interrupt_on_end_signals():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
         for number in ENDING:
@@ -78,23 +78,23 @@ def test_a_terminal_that_ends_does_not_interrupt_the_saving(
 
 def test_signals_wait_for_the_end_of_what_holds_them() -> None:
     def remove(done: list[str]) -> None:
-        with held():
+        with hold():
             for number in (*ENDING, signal.SIGINT, signal.SIGINT):
                 signal.raise_signal(number)
             done.append("removed")
 
     done: list[str] = []
-    with interrupting():
+    with interrupt_on_end_signals():
         with pytest.raises(KeyboardInterrupt):
             remove(done)
-        with held():
+        with hold():
             done.append("nothing came")
     assert done == ["removed", "nothing came"]
 
 
 def test_a_signal_that_is_ignored_stays_ignored() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    with interrupting(), held():
+    with interrupt_on_end_signals(), hold():
         signal.raise_signal(signal.SIGHUP)
     assert signal.signal(signal.SIGHUP, _nothing) == signal.SIG_IGN
     assert not is_ending()
@@ -106,7 +106,7 @@ def test_an_interruption_in_a_callback_is_not_lost(capsys: pytest.CaptureFixture
             raise KeyboardInterrupt
 
     def run() -> None:
-        with interrupting():
+        with interrupt_on_end_signals():
             Interrupted()
             while True:
                 time.sleep(0.01)
@@ -120,7 +120,7 @@ def test_other_threads_have_no_handlers() -> None:
     found = []
 
     def run() -> None:
-        with interrupting(), held(), stop_requests() as requested:
+        with interrupt_on_end_signals(), hold(), stop_requests() as requested:
             found.append(requested.is_set())
 
     thread = threading.Thread(target=run)

@@ -39,7 +39,7 @@ def page(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
                 self.recorder.start()
             return Requests(told["parameters"], is_stopped=bool(told["seeds"]))
 
-        def asked_seed(self) -> int | None:
+        def seed_request(self) -> int | None:
             return told["seeds"].pop(0) if told["seeds"] else None
 
         def wait_for_restart(self) -> int | None:

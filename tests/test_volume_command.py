@@ -130,7 +130,8 @@ def test_memory_is_estimated_before_voxels_are_made(room: Path, fails, monkeypat
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box(extents=(60.0, 20.0, 3.0)).export("hall.stl")
     monkeypatch.setattr(
-        "jaxplore.maps.files.volume_file.touched_voxels", lambda *_: pytest.fail("voxels are made")
+        "jaxplore.maps.files.volume_file.find_touched_voxels",
+        lambda *_: pytest.fail("voxels are made"),
     )
     told = fails("run", "hall.stl", "--resolution", "0.05", "--memory-limit", "2", "--out", "out")
     assert "3.46 GB of it for the voxels (60 x 400 x 1200 voxels" in told

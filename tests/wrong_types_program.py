@@ -86,7 +86,7 @@ INNER = {
     "expected_gain",
     "path_headings",
     "pose_table",
-    "predicted_state",
+    "predict_state",
     "step_with_gains",
     "rollout",
     "rollout_costs",
@@ -97,7 +97,7 @@ INNER = {
 }
 """Functions that are called in traced code, where nothing may be checked."""
 
-RUNNING = {"compare", "map_log", "optimised", "record_runs", "simulate", "simulate_in_parts"}
+RUNNING = {"compare", "map_log", "optimise", "record_runs", "simulate", "simulate_in_parts"}
 """Functions that compile and run a loop if nothing is wrong. Then their own tests do."""
 
 
@@ -342,7 +342,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "generate_volume": {"kind": "forest"},
         "line_path": {"start": (0.0, 0.0)},
         "read_path": {"path": str(folder / "path.csv")},
-        "optimised": {"graph": localisation.Graph(*[np.zeros((0, 3))] * 6)},
+        "optimise": {"graph": localisation.Graph(*[np.zeros((0, 3))] * 6)},
         "path_datum": {"path": str(folder / "path.csv")},
         "map_log": {"log": jx.sensing.read_laser_log(folder / "lidar.log")},
         "map_datum": {"path": str(folder / "map.yaml")},
@@ -553,10 +553,10 @@ def mistakes() -> dict[str, Callable[[], Any]]:
         "a view in degrees": lambda: jx.Lidar(field_of_view=90.0),
         "a radius in centimetres": lambda: jx.DifferentialDrive(radius=200.0),
         "a range in millimetres": lambda: jx.Lidar(max_range=5000.0),
-        "a text as shape": lambda: grid.padded("40"),
-        "one number as shape": lambda: grid.padded((40,)),
-        "half a row": lambda: grid.padded((40.5, 60)),
-        "fewer rows than there are": lambda: grid.padded((5, 60)),
+        "a text as shape": lambda: grid.pad("40"),
+        "one number as shape": lambda: grid.pad((40,)),
+        "half a row": lambda: grid.pad((40.5, 60)),
+        "fewer rows than there are": lambda: grid.pad((5, 60)),
     }
 
 

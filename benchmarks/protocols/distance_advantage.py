@@ -35,7 +35,7 @@ from jaxplore._files import replace_files
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.descent import NEIGHBOURS
 from jaxplore.belief.exploration_field import LEFTOVER_DETOUR
-from jaxplore.maps.clearance import clearance_field, closed_cells
+from jaxplore.maps.clearance import clearance_field, find_closed_cells
 
 FILES = ("da/main.py", "da/gridmaps.py", "da/lidar.py", "da/utils.py", "da/office_walls.csv")
 """Files of a clone that are read."""
@@ -134,7 +134,7 @@ class Guide:
         """
         column, row = cell
         pose = jnp.asarray([(column + 0.5) * self.scale, (row + 0.5) * self.scale, 0.0])
-        grid = OccupancyGrid(jnp.asarray(probability.T), self.scale).settled()
+        grid = OccupancyGrid(jnp.asarray(probability.T), self.scale).settle()
         # A robot that stands still must give up what it cannot see as well.
         elapsed = jnp.asarray((driven - self._driven) / SPEED + PERIOD, jnp.float32)
         if self._belief is None:
@@ -154,7 +154,7 @@ def _known(
     perception: Perception, before: Belief, grid: OccupancyGrid, pose: Any, elapsed: Any
 ) -> Belief:
     """Return the belief with a new map and its fields."""
-    clearance = clearance_field(closed_cells(grid, None), grid.frame, perception.max_clearance)
+    clearance = clearance_field(find_closed_cells(grid, None), grid.frame, perception.max_clearance)
     belief = dataclasses.replace(before, grid=grid, clearance=clearance)
     return perception.update_fields(belief, pose, elapsed)
 

@@ -82,7 +82,7 @@ from jaxplore.belief.zones import is_unknown
 from jaxplore.control.base import Controller
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.simulation.exploration.checks import checked_coverage
+from jaxplore.simulation.exploration.checks import check_coverage
 from jaxplore.simulation.exploration.reachability import reachable_cells
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import Run, simulate
@@ -289,7 +289,7 @@ def make_scenario(protocol: Protocol, plan: Plan) -> ExplorationScenario:
         target_coverage=1.0 if target is None else target,
     )
     # As data: a share that none reaches stands for no end, in the same program.
-    share = checked_coverage(target)
+    share = check_coverage(target)
     return with_field(scenario, "target_coverage", share)
 
 

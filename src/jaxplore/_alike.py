@@ -76,32 +76,32 @@ def _results(
 
     if len(rows) == 1:
         # Nothing is stacked for one: it is computed as without others, to the bit.
-        return apart(one, rows)
+        return map_unrolled(one, rows)
     # The one place that decides how many equal things are computed at a time.
     found: list[Any] = jax.lax.platform_dependent(
         list(rows),
-        cpu=functools.partial(apart if is_large else in_turn, one),
-        default=functools.partial(at_once, one),
+        cpu=functools.partial(map_unrolled if is_large else map_in_turn, one),
+        default=functools.partial(map_at_once, one),
     )
     return found
 
 
-def apart(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
+def map_unrolled(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
     """Return a function's results for some rows, by a body for each."""
     return [one(row) for row in rows]
 
 
-def in_turn(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
+def map_in_turn(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
     """Return a function's results for some rows, by a loop."""
-    return _rows(jax.lax.map(one, _stacked(rows)), len(rows))
+    return _rows(jax.lax.map(one, _stack(rows)), len(rows))
 
 
-def at_once(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
+def map_at_once(one: Callable[[Any], Any], rows: Sequence[Any]) -> list[Any]:
     """Return a function's results for some rows, all computed together."""
-    return _rows(jax.vmap(one)(_stacked(rows)), len(rows))
+    return _rows(jax.vmap(one)(_stack(rows)), len(rows))
 
 
-def _stacked(rows: Sequence[Any]) -> Any:
+def _stack(rows: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxplore._kinds import described, is_traced
+from jaxplore._kinds import describe, is_traced
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore._xla import on_device
 
@@ -93,7 +93,7 @@ def number(
     try:
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} is {described(value)}; accepted: {accepted}") from None
+        raise ValueError(f"{name} is {describe(value)}; accepted: {accepted}") from None
     # The negated comparison also refuses NaN. `float` would accept a bool as 0 or 1, and a text.
     if (
         isinstance(value, (bool, str, bytes))
@@ -137,7 +137,7 @@ def scalar(
         try:
             flat = np.asarray(value)
         except ValueError:
-            raise ValueError(f"{name} is {described(value)}; accepted: one number") from None
+            raise ValueError(f"{name} is {describe(value)}; accepted: one number") from None
         if flat.shape != ():
             raise ValueError(f"{name} has shape {flat.shape}; accepted: one number")
         value = flat.item()
@@ -164,7 +164,7 @@ def floats(name: str, value: object, accepted: str) -> np.ndarray:
 
 def _short(value: object) -> str:
     # Lists are shown whole: one of their entries is wrong.
-    return repr(value) if isinstance(value, (list, tuple)) else described(value)
+    return repr(value) if isinstance(value, (list, tuple)) else describe(value)
 
 
 def vector(name: str, value: object, size: int, *, at_least: float | None = None) -> Array:
@@ -261,7 +261,7 @@ def array(
     return result
 
 
-def shaped(
+def of_shape(
     name: str,
     value: Any,
     *shapes: tuple[int | str, ...],
@@ -281,30 +281,32 @@ def shaped(
             if all(isinstance(wanted, str) or size == wanted for size, wanted in pairs):
                 is_list = isinstance(value, (list, tuple))
                 return jnp.asarray(value, dtype) if is_list else value
-    raise ValueError(f"{name} is {described(value)}; accepted: {accepted or _describe(shapes)}")
+    raise ValueError(f"{name} is {describe(value)}; accepted: {accepted or _describe(shapes)}")
 
 
 def position(name: str, value: Any) -> Any:
-    """Return `value` if it is the position (x, y) of one point; see `shaped`."""
-    return shaped(name, value, (2,), accepted="2 numbers: x, y")
+    """Return `value` if it is the position (x, y) of one point; see `of_shape`."""
+    return of_shape(name, value, (2,), accepted="2 numbers: x, y")
 
 
 def pose(name: str, value: Any) -> Any:
-    """Return `value` if it is one pose (x, y, yaw); see `shaped`."""
-    return shaped(name, value, (3,), accepted="3 numbers: x, y, yaw")
+    """Return `value` if it is one pose (x, y, yaw); see `of_shape`."""
+    return of_shape(name, value, (3,), accepted="3 numbers: x, y, yaw")
 
 
 def pairs(name: str, value: Any, dtype: Any) -> Any:
-    """Return `value` if it is an array (..., 2) of any number of axes; see `shaped`."""
+    """Return `value` if it is an array (..., 2) of any number of axes; see `of_shape`."""
     axes = len(_static_shape(value) or (0,))
     wanted: tuple[int | str, ...] = (*("N" for _ in range(axes - 1)), 2)
-    return shaped(name, value, wanted, accepted="pairs of numbers, an array (..., 2)", dtype=dtype)
+    return of_shape(
+        name, value, wanted, accepted="pairs of numbers, an array (..., 2)", dtype=dtype
+    )
 
 
 def rows_and_columns(name: str, value: object) -> tuple[int, int]:
     """Return `value` as two whole numbers >= 1."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise ValueError(f"{name} is {described(value)}; accepted: (rows, columns)")
+        raise ValueError(f"{name} is {describe(value)}; accepted: (rows, columns)")
     return positive_int(name, value[0]), positive_int(name, value[1])
 
 
@@ -352,7 +354,7 @@ def by_name(
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        given = described(value)
+        given = describe(value)
         raise ValueError(f"{name} is {given}; accepted: numbers by the name of a component")
     return {
         key: scalar(f"{name}[{key!r}]", number, above=above, at_least=at_least)

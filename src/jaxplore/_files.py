@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 import yaml
 
-from jaxplore._locks import hidden_file
+from jaxplore._locks import open_hidden_file
 from jaxplore._text import error_reason, printable_path, short_repr
 
 YAML_LIMIT = 100_000
@@ -257,7 +257,7 @@ def replace_files(files: Sequence[tuple[Path, bytes]]) -> None:
     with ExitStack() as stack:
         staged = []
         for path, data in files:
-            staged.append((stack.enter_context(hidden_file(path)), path))
+            staged.append((stack.enter_context(open_hidden_file(path)), path))
             staged[-1][0].write_bytes(data)
         for temporary, path in staged:
             os.replace(temporary, path)

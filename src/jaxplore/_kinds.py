@@ -21,7 +21,7 @@ def is_traced(*values: object) -> bool:
     return any(isinstance(value, jax.core.Tracer) for value in values)
 
 
-def described(value: object) -> str:
+def describe(value: object) -> str:
     """Return in a few words what a value is."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
@@ -49,14 +49,14 @@ def instance(
     else:
         names = [_with_article(kind.__name__) for kind in kinds] + ["None"] * may_be_none
         accepted = " or ".join(names) + (f", {hint}" if hint else "")
-    raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
+    raise ValueError(f"{name} is {describe(value)}; accepted: {accepted}")
 
 
 def instances(name: str, value: object, *kinds: type) -> None:
     """Raise a `ValueError` unless `value` is a list or tuple of instances of one of `kinds`."""
     if not isinstance(value, (list, tuple)):
         each = " or ".join(kind.__name__ for kind in kinds)
-        raise ValueError(f"{name} is {described(value)}; accepted: a list or tuple of {each}")
+        raise ValueError(f"{name} is {describe(value)}; accepted: a list or tuple of {each}")
     for index, item in enumerate(value):
         instance(f"{name}[{index}]", item, *kinds)
 
@@ -64,13 +64,13 @@ def instances(name: str, value: object, *kinds: type) -> None:
 def function(name: str, value: object, accepted: str) -> None:
     """Raise a `ValueError` unless `value` can be called, and is no class."""
     if isinstance(value, type) or not callable(value):
-        raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
+        raise ValueError(f"{name} is {describe(value)}; accepted: {accepted}")
 
 
 def flag(name: str, value: object) -> bool:
     """Return `value` as a bool."""
     if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"{name} is {described(value)}; accepted: True or False")
+        raise ValueError(f"{name} is {describe(value)}; accepted: True or False")
     return bool(value)
 
 
@@ -88,10 +88,10 @@ def key(name: str, value: Any, ndim: int = 0) -> None:
     accepted = "jax.random.key(0)"
     if ndim:
         accepted = f"several keys, such as jax.random.split({accepted}, 4)"
-    raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
+    raise ValueError(f"{name} is {describe(value)}; accepted: {accepted}")
 
 
-def annotated(owner: Any, name: str) -> None:
+def check_annotation(owner: Any, name: str) -> None:
     """Raise a `ValueError` unless the class of `owner`, a module, has an annotation of a field.
 
     Equinox refuses to set other attributes, with a message that does not say why.

@@ -66,14 +66,14 @@ def lock(path: Path, note: bytes = b"") -> Iterator[bool]:
     """
     file = None
     try:
-        with _signals.held():
+        with _signals.hold():
             file, is_exclusive = _take(path, os.O_CREAT)
             os.ftruncate(file, 0)
             os.write(file, b"%d\n%s" % (os.getpid(), note))
         yield is_exclusive
     finally:
         if file is not None:
-            with _signals.held():
+            with _signals.hold():
                 _drop(file, path)
 
 
@@ -90,7 +90,7 @@ def is_locked(path: Path) -> bool:
 
 
 @contextmanager
-def hidden_folder(target: Path) -> Iterator[Path]:
+def reserve_hidden_folder(target: Path) -> Iterator[Path]:
     """Reserve the path of a folder, and yield the hidden one that is filled and then moved there.
 
     The hidden folder does not exist yet. It is beside the target, so on the same file system, where
@@ -111,12 +111,12 @@ def hidden_folder(target: Path) -> Iterator[Path]:
         try:
             yield hidden
         finally:
-            with _signals.held():
+            with _signals.hold():
                 shutil.rmtree(hidden, ignore_errors=True)
 
 
 def reservation(target: Path) -> Path:
-    """Return the path of the lock of `hidden_folder`."""
+    """Return the path of the lock of `reserve_hidden_folder`."""
     return target.with_name(_PREFIX + _digest(os.fsencode(target.name)) + _LOCK)
 
 
@@ -125,12 +125,12 @@ def put_folder(hidden: Path, target: Path) -> None:
 
     On failure the former folder is restored, and an `OSError` raised.
     """
-    with _signals.held():
+    with _signals.hold():
         if not os.path.lexists(target):
             hidden.rename(target)
             return
         # A folder cannot be renamed onto one with content, so the former one moves aside first.
-        former = _former(hidden)
+        former = _aside(hidden)
         target.rename(former)
         try:
             hidden.rename(target)
@@ -141,7 +141,7 @@ def put_folder(hidden: Path, target: Path) -> None:
 
 
 @contextmanager
-def hidden_file(target: Path) -> Iterator[Path]:
+def open_hidden_file(target: Path) -> Iterator[Path]:
     """Yield an empty hidden file beside a target; it is removed at the end unless it was moved.
 
     The folder must exist. Write the file in place: a new file of that name would not be locked.
@@ -155,7 +155,7 @@ def hidden_file(target: Path) -> Iterator[Path]:
         sweep(target.parent)
     file = None
     try:
-        with _signals.held():
+        with _signals.hold():
             while file is None:
                 path = target.with_name(_random() + _FILE)
                 # A sweep of another process may come between the file and its lock.
@@ -166,14 +166,14 @@ def hidden_file(target: Path) -> Iterator[Path]:
         yield path
     finally:
         if file is not None:
-            with _signals.held():
+            with _signals.hold():
                 path.unlink(missing_ok=True)
                 if fcntl is not None:
                     os.close(file)
 
 
 @contextmanager
-def hidden_container(target: Path) -> Iterator[Path]:
+def open_hidden_container(target: Path) -> Iterator[Path]:
     """Yield a hidden folder beside a target, with a lock inside; it is removed at the end.
 
     What is made in it is moved to the target before.
@@ -188,7 +188,7 @@ def hidden_container(target: Path) -> Iterator[Path]:
         with lock(container / OWN):
             yield container
     finally:
-        with _signals.held():
+        with _signals.hold():
             shutil.rmtree(container, ignore_errors=True)
 
 
@@ -210,7 +210,7 @@ def sweep(folder: Path) -> None:
             _sweep_container(path)
             continue
         # What belongs to another user or is held stays.
-        with contextlib.suppress(InUseError, OSError), _signals.held():
+        with contextlib.suppress(InUseError, OSError), _signals.hold():
             file, _ = _take(path)
             try:
                 note = os.read(file, 2**16).partition(b"\n")[2]
@@ -223,7 +223,7 @@ def sweep(folder: Path) -> None:
 def _sweep_container(container: Path) -> None:
     own = container / OWN
     # A lock without text is one that is just being taken.
-    with contextlib.suppress(InUseError, OSError), _signals.held():
+    with contextlib.suppress(InUseError, OSError), _signals.hold():
         if own.stat().st_size:
             file, _ = _take(own)
             shutil.rmtree(container, ignore_errors=True)
@@ -233,13 +233,13 @@ def _sweep_container(container: Path) -> None:
 def _recover(hidden: Path, target: Path) -> None:
     """Remove what a dead process has left, and put back the folder that it had moved aside."""
     shutil.rmtree(hidden, ignore_errors=True)
-    former = _former(hidden)
+    former = _aside(hidden)
     if former.is_dir() and not os.path.lexists(target):
         former.rename(target)
     shutil.rmtree(former, ignore_errors=True)
 
 
-def _former(hidden: Path) -> Path:
+def _aside(hidden: Path) -> Path:
     return hidden.with_name(hidden.name + _FORMER)
 
 

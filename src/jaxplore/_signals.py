@@ -63,7 +63,7 @@ def _end(_: int, __: FrameType | None) -> None:
 
 
 @contextmanager
-def interrupting() -> Iterator[None]:
+def interrupt_on_end_signals() -> Iterator[None]:
     """Let SIGTERM and SIGHUP do what Ctrl-C does in the body, which is a whole command."""
     _ending.clear()
     last = -SAME_REQUEST
@@ -82,7 +82,7 @@ def interrupting() -> Iterator[None]:
         handler(number, frame)
 
     handlers = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(ENDING, pass_on)}
-    with _handled(handlers), _nothing_lost():
+    with _handle(handlers), _resend_lost():
         yield
 
 
@@ -90,7 +90,7 @@ def interrupting() -> Iterator[None]:
 def stop_requests() -> Iterator[threading.Event]:
     """Yield an event that Ctrl-C sets; a second Ctrl-C raises `KeyboardInterrupt`.
 
-    In the body of `interrupting` SIGTERM and SIGHUP set it as well.
+    In the body of `interrupt_on_end_signals` SIGTERM and SIGHUP set it as well.
     """
     requested = threading.Event()
 
@@ -100,16 +100,16 @@ def stop_requests() -> Iterator[threading.Event]:
         requested.set()
 
     # A process in the background of a script ignores Ctrl-C, but not what calls this handler.
-    with _handled({signal.SIGINT: request}, are_ignored_too=True):
+    with _handle({signal.SIGINT: request}, are_ignored_too=True):
         yield requested
 
 
 @contextmanager
-def held() -> Iterator[None]:
+def hold() -> Iterator[None]:
     """Hold signals back until the end of the body, such as a removal of files."""
     received: list[int] = []
     try:
-        with _handled(dict.fromkeys(STOPPING, lambda number, _: received.append(number))):
+        with _handle(dict.fromkeys(STOPPING, lambda number, _: received.append(number))):
             yield
     finally:
         for number in received[:1]:
@@ -117,7 +117,7 @@ def held() -> Iterator[None]:
 
 
 @contextmanager
-def blocked_in_children() -> Iterator[None]:
+def block_in_children() -> Iterator[None]:
     """Block Ctrl-C while processes start: they never receive it, this process receives it later.
 
     A terminal sends the signal to all processes, but only this one shall end the workers.
@@ -133,7 +133,7 @@ def blocked_in_children() -> Iterator[None]:
 
 
 @contextmanager
-def _nothing_lost() -> Iterator[None]:
+def _resend_lost() -> Iterator[None]:
     """Send an interruption again that came up in a callback, where Python prints it and goes on."""
     former = sys.unraisablehook
 
@@ -153,7 +153,7 @@ def _nothing_lost() -> Iterator[None]:
 
 
 @contextmanager
-def _handled(handlers: Mapping[int, Handler], *, are_ignored_too: bool = False) -> Iterator[None]:
+def _handle(handlers: Mapping[int, Handler], *, are_ignored_too: bool = False) -> Iterator[None]:
     """Handle signals by number in the body; outside of the main thread, leave them as they are.
 
     With `are_ignored_too`, handle also signals that the process was started to ignore, as SIGHUP

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 
-def spelled(value: Any, words: Iterable[str]) -> Any:
+def match_spelling(value: Any, words: Iterable[str]) -> Any:
     """Return the word that differs from `value` in hyphens and underscores at most; else `value`.
 
     What is no string passes.

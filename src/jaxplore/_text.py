@@ -29,10 +29,10 @@ def printable(text: str) -> str:
     """
     if text.replace("\n", "").isprintable():
         return text
-    return "".join(each if each == "\n" or each.isprintable() else _escaped(each) for each in text)
+    return "".join(each if each == "\n" or each.isprintable() else _escape(each) for each in text)
 
 
-def _escaped(character: str) -> str:
+def _escape(character: str) -> str:
     code = ord(character)
     # Python stands a byte that it cannot decode for a character from U+DC80 to U+DCFF.
     if 0xDC80 <= code <= 0xDCFF:

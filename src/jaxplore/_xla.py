@@ -19,7 +19,7 @@ def on_device(values: np.ndarray) -> Array:
     return shared
 
 
-def computed(function: Callable[..., Any], *values: Any) -> Array:
+def compute(function: Callable[..., Any], *values: Any) -> Array:
     """Return the array `function(xp, *values)`: `xp` is `numpy`, or `jax.numpy` for traced values.
 
     Outside of `jax.jit`, JAX compiles a program for each operation and shape. Constructors compute

@@ -34,9 +34,10 @@ def get_parameters(controller: Any) -> dict[str, Array]:
 
     Parameters are float arrays of at most 64 elements. A path joins the names of the fields that
     lead to one, as in `weighting.temperature`. The terms of a sum of costs are entered by name, as
-    in `cost.information.weight`: the name given by `Cost.named`, or the class name without `Cost`
-    in lower case. A repeated name gets a number from the second on, `cost.obstacle-2.weight`. The
-    wrapper of a weight is left out of the path, `cost.obstacle.clearance`.
+    in `cost.information.weight`: the name given by `Cost.with_name`, or the class name without
+    `Cost` in lower case. A repeated name gets a number from the second on,
+    `cost.obstacle-2.weight`. The wrapper of a weight is left out of the path,
+    `cost.obstacle.clearance`.
 
     Args:
         controller: pytree that is searched; it may be traced.
@@ -72,7 +73,7 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
         ValueError: an unknown path, a value of another shape or one that is not finite.
     """
     if not isinstance(values, Mapping):
-        given = _kinds.described(values)
+        given = _kinds.describe(values)
         raise ValueError(f"values is {given}; accepted: numbers by the path of a parameter")
     places = _parameters_of(controller)
     for path, value in values.items():
@@ -118,7 +119,7 @@ def split_index(name: str) -> tuple[str, int | None]:
 def _parameters_of(controller: Any) -> dict[str, _Place]:
     places = _places(controller)
     if not places:  # no path could be right
-        given = _kinds.described(controller)
+        given = _kinds.describe(controller)
         raise ValueError(f"controller is {given}; accepted: a controller, or a tree with numbers")
     return places
 
@@ -135,7 +136,7 @@ def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int =
 
 def _match(path: str, known: tuple[str, ...]) -> str:
     if not isinstance(path, str):
-        given = _kinds.described(path)
+        given = _kinds.describe(path)
         raise ValueError(f"path is {given}; accepted: the path of a parameter, such as {known[0]}")
     # Try the path as given first: a component may itself be called "controller".
     for given in (path, path.removeprefix(PREFIX)):
@@ -195,14 +196,14 @@ def _walk_cost(
     cost: Cost, names: tuple[str, ...], steps: tuple[str | int, ...]
 ) -> Iterator[_Found]:
     """Yield the parameters of a cost, with the terms of a sum under their names."""
-    name, weights, inner, where = _unwrapped(cost, steps)
+    name, weights, inner, where = _unwrap(cost, steps)
     yield from _weights(weights, names)
     if not isinstance(inner, SumCost):
         yield from _walk_fields(inner, names, where)
         return
     seen: dict[str, int] = {}
     for each, at in _summands(inner, where):
-        name, weights, term, there = _unwrapped(each, at)
+        name, weights, term, there = _unwrap(each, at)
         seen[name] = seen.get(name, 0) + 1
         here = (*names, f"{name}-{seen[name]}" if seen[name] > 1 else name)
         # A sum with a name or weight of its own is one term, and its terms are listed below it.
@@ -236,7 +237,7 @@ def _summands(
 type _Weights = tuple[tuple[tuple[str | int, ...], Array], ...]
 
 
-def _unwrapped(
+def _unwrap(
     cost: Cost, steps: tuple[str | int, ...]
 ) -> tuple[str, _Weights, Cost, tuple[str | int, ...]]:
     """Return the name of a cost, its weights from the outside in, the inner cost and its steps."""

@@ -139,7 +139,7 @@ def gathered(test, known, truth, poses, person, keys) -> Sums:
 
     def one(state, pose, key):
         scan = FEW.scan(truth, pose, key=key, movers=person[None])
-        after = test.gathered(state, FEW, known, scan, pose)
+        after = test.add_evidence(state, FEW, known, scan, pose)
         sums = jnp.stack([after.change, after.person])[..., None]
         return after, Sums((sums >= LEVELS).sum(axis=(0, 1, 2)), after.has_alarm)
 
@@ -303,7 +303,7 @@ def test_a_suspicion_without_confirmation_is_dropped() -> None:
     state = TEST.init(hall())
     place = jnp.array([3.0, 2.0])
     begin = jnp.array([1.0, 1.2, 0.0])
-    reports = state.reports.opened(
+    reports = state.reports.open_suspicion(
         jnp.array(True), place, jnp.int32(APPEARED), jnp.zeros(()), begin
     )
     state = dataclasses.replace(state, reports=reports)
@@ -327,7 +327,9 @@ def test_a_full_list_takes_no_more() -> None:
     reports, pose = Reports.none(), jnp.zeros(3)
     for number in range(MAX_REPORTS + 2):
         spot = jnp.full(2, jnp.float32(number))
-        reports = reports.opened(jnp.array(True), spot, jnp.int32(GONE), jnp.zeros(()), pose)
+        reports = reports.open_suspicion(
+            jnp.array(True), spot, jnp.int32(GONE), jnp.zeros(()), pose
+        )
     np.testing.assert_array_equal(reports.place[:, 0], np.arange(MAX_REPORTS))
 
 
@@ -338,11 +340,13 @@ def test_information_leads_to_where_a_second_look_is_possible() -> None:
     known = hall((slice(2, 30), slice(28, 32)))
     sensor, model = FieldSensor(SENSOR, RESOLUTION, 8, 2), InverseSensorModel.line_of_sight()
     field = eqx.filter_jit(sensor.field)(known, model, np.ones(SHAPE, np.float32))
-    state, attended = TEST.init(known), eqx.filter_jit(TEST.attended)
+    state, attended = TEST.init(known), eqx.filter_jit(TEST.add_attention)
     same = attended(state, field, known)
     np.testing.assert_array_equal(same.cumulative, field.cumulative)
     place, pose = jnp.array([4.5, 1.0]), jnp.array([4.5, 3.5, 0.0])
-    reports = state.reports.opened(jnp.array(True), place, jnp.int32(GONE), jnp.ones(()), pose)
+    reports = state.reports.open_suspicion(
+        jnp.array(True), place, jnp.int32(GONE), jnp.ones(()), pose
+    )
     state = dataclasses.replace(state, reports=reports)
     led = attended(state, field, known)
     rows, columns = np.mgrid[: led.total.shape[0], : led.total.shape[1]]

@@ -16,7 +16,7 @@ from jaxplore.belief.geodesic import _relax, geodesic
 from jaxplore.belief.guidance import descent_field as to_go
 from jaxplore.belief.perception_checks import narrowest, safe_stride
 from jaxplore.belief.roadmap import NARROW_PRICE, TurnsOnTheSpot
-from jaxplore.belief.tiles import Outline, Tiling, relaxed_by_tiles, relaxed_everywhere
+from jaxplore.belief.tiles import Outline, Tiling, relax_by_tiles, relax_everywhere
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.frame import GridFrame
 
@@ -200,7 +200,7 @@ def test_tiles_and_the_whole_map_at_once_are_the_same_to_the_bit(seed: int) -> N
         np.asarray(
             jax.jit(lambda *each, find=find: find(each, OUTLINE, _relax, TILING))(start, half)
         )
-        for find in (relaxed_by_tiles, relaxed_everywhere)
+        for find in (relax_by_tiles, relax_everywhere)
     )
     np.testing.assert_array_equal(tiles, whole)
     least = initial[np.isfinite(initial)].min()  # Dijkstra's lengths are not negative

@@ -21,12 +21,12 @@ RATE = st.one_of(st.floats(-2, 2, width=32), st.floats(-(2.0**-10), 2.0**-10, wi
 @jax.jit
 def later(obstacles: Obstacles, elapsed):
     """Return obstacles a time later, of which none was measured."""
-    return obstacles.after(elapsed)
+    return obstacles.advance(elapsed)
 
 
 @jax.jit
 def predicted(obstacles: Obstacles, t):
-    return obstacles.predicted(t), obstacles.predicted_centres(t), obstacles.predicted_covariance(t)
+    return obstacles.predict(t), obstacles.predict_centres(t), obstacles.predict_covariance(t)
 
 
 def one(velocity, turn_rate, **certainty) -> Obstacles:
@@ -129,7 +129,7 @@ def test_draws_are_spread_as_predicted(elapsed: float) -> None:
     obstacle = later(obstacle, jnp.asarray(elapsed))
     t = jnp.asarray(1.5 - elapsed)
     keys = jax.random.split(jax.random.key(0), 20000)
-    centres = jax.jit(jax.vmap(lambda key: obstacle.drawn(key).predicted_centres(t)[0]))(keys)
+    centres = jax.jit(jax.vmap(lambda key: obstacle.sample(key).predict_centres(t)[0]))(keys)
     _, expected, covariance = predicted(obstacle, t)
     np.testing.assert_allclose(np.mean(centres, axis=0), expected[0], atol=5e-3)
     np.testing.assert_allclose(np.cov(np.asarray(centres).T), covariance[0], atol=2e-3)
@@ -137,13 +137,13 @@ def test_draws_are_spread_as_predicted(elapsed: float) -> None:
 
 def test_a_draw_is_known_exactly_and_keeps_its_shape() -> None:
     obstacle = one([1.0, 0.5], 0.3, std=0.5)
-    drawn = obstacle.drawn(jax.random.key(1))
+    drawn = obstacle.sample(jax.random.key(1))
     assert not np.any(drawn.covariance)
     assert not np.any(drawn.growth)
     moved = np.asarray(drawn.centres - obstacle.centres)
     assert np.abs(moved).max() > 0.01
     np.testing.assert_allclose(drawn.outlines.corners[0] - moved[0], SQUARE, atol=1e-6)
-    still = Obstacles(Outlines.discs([[3.0, 4.0]], 1.0)).drawn(jax.random.key(2))
+    still = Obstacles(Outlines.discs([[3.0, 4.0]], 1.0)).sample(jax.random.key(2))
     np.testing.assert_array_equal(still.centres, [[3.0, 4.0]])
 
 
@@ -165,4 +165,4 @@ def test_what_is_no_obstacle_is_refused(given_, named) -> None:
 
 def test_none_of_them_is_fine() -> None:
     nothing = Obstacles(Outlines.discs([], 1.0), [], [])
-    assert nothing.predicted_centres(jnp.asarray(1.0)).shape == (0, 2)
+    assert nothing.predict_centres(jnp.asarray(1.0)).shape == (0, 2)

@@ -22,7 +22,7 @@ DETECTOR = Detector(CLASSES, CONFUSION, recall=RECALL, reach=REACH)
 PRIOR = (0.2, 0.5, 0.3)
 RECOGNITION = Recognition(DETECTOR, prior=PRIOR, certainty=0.9, baseline=0.5, weight=20.0)
 MISS = 3
-informed = jax.jit(Recognition.informed, static_argnums=4)
+informed = jax.jit(Recognition.add_information, static_argnums=4)
 
 
 def likelihood(distance: float) -> np.ndarray:

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxplore as jx
-from jaxplore.belief.rolling_map import BLOCK, RollingMap, centred, shifted, window_shape
+from jaxplore.belief.rolling_map import BLOCK, RollingMap, centre_window, shift_array, window_shape
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.volume import DepthCamera
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
 
@@ -56,7 +56,7 @@ def step(perception: VolumePerception):
             ]
         )
         scan = CAMERA.scan(WORLD, at, turn, key=jax.random.key(0))
-        belief = perception.update(belief, at, turn, [scan]).remembered()
+        belief = perception.update(belief, at, turn, [scan]).store_window()
         return perception.update_fields(belief, at, heading, jnp.asarray(0.1))
 
     return look
@@ -161,7 +161,7 @@ def test_shifts_are_those_of_numpy(seed: int, shift: tuple[int, int, int]) -> No
     np.testing.assert_array_equal(moved(values, jnp.asarray(shift, jnp.int32)), wanted)
 
 
-moved = jax.jit(shifted)
+moved = jax.jit(shift_array)
 
 
 @given(st.floats(-5.0, 100.0), st.integers(20, 90), st.integers(1, 9))
@@ -172,7 +172,9 @@ def test_a_window_lies_in_the_volume_and_begins_with_a_whole_block(
     shape = window_shape(whole, (1.0, 1.5, 2.0), 0.1, block)
     assert shape[2] == 10
     assert all(size >= wanted for size, wanted in zip(shape, (20, 15, 10), strict=True))
-    first = np.asarray(centred(jnp.asarray([here, here, here], jnp.float32), shape, whole, block))
+    first = np.asarray(
+        centre_window(jnp.asarray([here, here, here], jnp.float32), shape, whole, block)
+    )
     assert (first % block == 0).all()
     assert (first >= 0).all()
     assert (first + shape <= whole).all()
@@ -236,7 +238,7 @@ def test_a_step_copies_no_map() -> None:
     )
     controller = jx.volume_explorer(robot, horizon=2, num_samples=4)
     key = jax.random.key(0)
-    state = copied(initial_loop_state(controller, scenario, key))
+    state = copy_tree(initial_loop_state(controller, scenario, key))
     given = controller, scenario, key, jnp.asarray(1, jnp.int32)
     text = run_chunk.lower(given, state, 1).compile().compiled.as_text()
     shape = ",".join(map(str, WORLD.shape))

@@ -29,7 +29,7 @@ def look(
 def test_predictions_are_true_of_straight_motion(start, velocities, t: float) -> None:
     seen = look(Obstacles.unseen(RADII), start, velocities, [True] * 3, 0.1, 0.05)
     true = start.astype(np.float64) + t * velocities.astype(np.float64)
-    np.testing.assert_allclose(seen.predicted_centres(jnp.asarray(t)), true, atol=2e-5)
+    np.testing.assert_allclose(seen.predict_centres(jnp.asarray(t)), true, atol=2e-5)
     # Out of sight they go on in just this way.
     unseen = look(seen, np.zeros((3, 2)), np.zeros((3, 2)), [False] * 3, 0.1, t)
     np.testing.assert_allclose(unseen.centres, true, atol=2e-5)
@@ -117,7 +117,7 @@ def test_none() -> None:
     empty = np.zeros((0, 2))
     after = look(obstacles, empty, empty, np.zeros(0, bool), 0.1, 0.05)
     for found in (obstacles, after):
-        assert found.predicted_centres(jnp.asarray(1.0)).shape == (0, 2)
+        assert found.predict_centres(jnp.asarray(1.0)).shape == (0, 2)
         assert found.outlines.radii.shape == found.age.shape == found.is_known.shape == (0,)
 
 

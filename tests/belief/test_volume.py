@@ -14,7 +14,7 @@ from jaxplore.belief.coarse_voxels import coarse_room, coarse_states
 from jaxplore.belief.view_field import ViewField
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_roads import FAR
-from jaxplore.maps.volume_clearance import renewed_clearance
+from jaxplore.maps.volume_clearance import update_clearance
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.window import Window
 from jaxplore.sensing.volume import DepthCamera, RingLidar
@@ -180,7 +180,7 @@ def test_what_is_renewed_by_windows_is_what_the_whole_map_gives() -> None:
         if index % 3 != 1:
             belief = fields(belief, at)
     everything = Window.at(jnp.zeros(3, jnp.int32), solid.shape, solid.shape)
-    clearance = renewed_clearance(belief.grid, jnp.zeros(solid.shape), everything, perception.reach)
+    clearance = update_clearance(belief.grid, jnp.zeros(solid.shape), everything, perception.reach)
     coarse = coarse_states(belief.grid, perception.pool)
     whole = eqx.tree_at(
         lambda each: (each.coarse, each.changed, each.sectors),

@@ -150,7 +150,7 @@ def test_remaining_and_centres_are_means_over_cells() -> None:
     p = random_map(0)
     grid = OccupancyGrid(p, RESOLUTION, ORIGIN)
     zones = Zones.from_rectangles(RECTANGLES, grid)
-    values, places = jax.jit(lambda z, g: (z.remaining(g), z.centres(g.frame)))(zones, grid)
+    values, places = jax.jit(lambda z, g: (z.uncertainty(g), z.centres(g.frame)))(zones, grid)
     assert values.shape == (3,)
     assert places.shape == (3, 2)
     for z in range(3):
@@ -169,9 +169,9 @@ def test_remaining_and_centres_are_means_over_cells() -> None:
 def test_remaining_is_one_for_unknown_and_zero_for_known() -> None:
     p = np.full(SHAPE, 0.5, np.float32)
     zones = Zones.from_rectangles(RECTANGLES, OccupancyGrid(p, RESOLUTION, ORIGIN))
-    np.testing.assert_array_equal(zones.remaining(OccupancyGrid(p, RESOLUTION)), 1.0)
+    np.testing.assert_array_equal(zones.uncertainty(OccupancyGrid(p, RESOLUTION)), 1.0)
     known = np.where(np.arange(SHAPE[1]) % 2 == 0, 0.0, 1.0) * np.ones(SHAPE)
-    np.testing.assert_array_equal(zones.remaining(OccupancyGrid(known, RESOLUTION)), 0.0)
+    np.testing.assert_array_equal(zones.uncertainty(OccupancyGrid(known, RESOLUTION)), 0.0)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0, 1, width=32))
@@ -260,7 +260,7 @@ def test_bad_rectangles_are_named(rectangles, message: str) -> None:
 def test_other_bad_input_is_named() -> None:
     other, seen = OccupancyGrid(np.zeros((4, 5)), 1.0), jnp.ones((4, 6), bool)
     cases = {
-        r"grid has shape \(4, 5\)": lambda: GOOD.remaining(other),
+        r"grid has shape \(4, 5\)": lambda: GOOD.uncertainty(other),
         r"visible_cells has shape \(6, 4\)": lambda: GOOD.deplete(jnp.ones(1), seen.T, 0.5),
         "rate is 1.5": lambda: GOOD.deplete(jnp.ones(1), seen, 1.5),
         "rate is -0.5": lambda: GOOD.deplete(jnp.ones(1), seen, jnp.float32(-0.5)),

@@ -21,7 +21,7 @@ from jaxplore.build.tasks import make_settings
 from jaxplore.cli._tune_entries import parse_budget
 from jaxplore.maps.files.images import image_size, read_greys
 from jaxplore.maps.files.ros import map_size
-from jaxplore.maps.padding import padded_shape
+from jaxplore.maps.padding import choose_padded_shape
 from jaxplore.settings.reference import KINDS
 from jaxplore.settings.sections import section_class
 from jaxplore.simulation.chunks import MAX_FRAMES, are_too_many
@@ -246,7 +246,7 @@ def test_what_grows_is_the_part_of_the_setting(section, name, value, part: str) 
 def test_the_belief_fits_into_the_estimate() -> None:
     """The shapes of the belief are an oracle for the cells, the nodes and the directions."""
     side, resolution = 300, 0.1
-    rows, columns = padded_shape((side, side))
+    rows, columns = choose_padded_shape((side, side))
     grid = jx.OccupancyGrid(np.full((rows, columns), 0.5, np.float32), resolution)
     for directions in (32, 128):
         perception = jx.Perception(jx.Lidar(), resolution, 0.2, num_directions=directions)

@@ -11,7 +11,7 @@ from PIL import Image
 import jaxplore as jx
 from jaxplore.build import tasks
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.commented import commented_yaml
+from jaxplore.settings.commented import to_commented_yaml
 from jaxplore.settings.defaults import DIFFERENCES
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.path import PathSettings
@@ -259,7 +259,7 @@ def test_a_setting_sets_the_parameter_that_its_row_names(case: str) -> None:
 
 @pytest.mark.parametrize("place", PLACES)
 def test_the_yaml_with_comments_is_read_as_equal_settings(place: str) -> None:
-    text = commented_yaml(place_settings(place))
+    text = to_commented_yaml(place_settings(place))
     assert make_settings(yaml.safe_load(text)) == make_settings({"map": place})
     lines = text.splitlines()
     assert max(map(len, lines)) <= 100
@@ -270,7 +270,7 @@ def test_the_yaml_with_comments_is_read_as_equal_settings(place: str) -> None:
 
 
 def test_the_yaml_says_what_a_run_does_not_read() -> None:
-    text = commented_yaml(place_settings("zones"))
+    text = to_commented_yaml(place_settings("zones"))
     assert "MPPI of the architecture `explorer` and of the rule-based explorers. This run" in text
     assert "Only read by: the map office, ROS maps." in text
     assert "# Its settings: jaxplore settings camera.\ncamera: null" in text

@@ -65,7 +65,7 @@ def accepting() -> Iterator[None]:
             (jaxplore.cli._map_log, "map_log"),
             (jaxplore.cli._view, "Replay"),
             (jaxplore.cli._view, "LiveView"),
-            (jaxplore.cli._node, "connected"),
+            (jaxplore.cli._node, "connect"),
             (Pilot, "prepare"),
         ):
             stack.enter_context(mock.patch.object(owner, name, begin))

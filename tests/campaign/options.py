@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from jaxplore.cli import cli
-from jaxplore.cli._known import known
+from jaxplore.cli._known import load_known
 
 from .contents import Found, writing
 
@@ -57,11 +57,11 @@ VALUES = (
 
 def assignments() -> Found:
     """Yield every setting with every value."""
-    for name, value in itertools.product(known().settings, VALUES):
+    for name, value in itertools.product(load_known().settings, VALUES):
         place = "path" if name.split(".")[0] in _OF_PATHS else "{base}/room.yaml"
         command = ["node"] if name.startswith("node.") else ["run", place]
         yield f"{name}={value}", [*command, "--set", f"{name}={value}"], None
-    for section, value in itertools.product(known().sections, VALUES):
+    for section, value in itertools.product(load_known().sections, VALUES):
         place = "path" if section in _OF_PATHS else "{base}/room.yaml"
         yield f"{section}={value}", ["run", place, "--set", f"{section}={value}"], None
 

@@ -11,7 +11,7 @@ import yaml
 import jaxplore as jx
 from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import MapFile, maps_in
-from jaxplore.study.comparison.rows import TIMING, Row, failed_row
+from jaxplore.study.comparison.rows import TIMING, Row, make_failed_row
 from jaxplore.study.comparison.store import Plan, Store, open_store
 
 SMALL: dict[str, Any] = {
@@ -85,7 +85,7 @@ def pretend() -> Callable[[EpisodeBatch], list[Row]]:
     def make(batch: EpisodeBatch) -> list[Row]:
         """Return rows that say how they were made, without a run."""
         return [
-            {**failed_row(episode, "none"), "error": None, "coverage": episode.seed / 100.0}
+            {**make_failed_row(episode, "none"), "error": None, "coverage": episode.seed / 100.0}
             for episode in batch
         ]
 

@@ -15,7 +15,7 @@ from PIL import Image
 
 from jaxplore import OccupancyGrid
 from jaxplore.maps import Datum
-from jaxplore.study.comparison.page import RIM, curves_figure, known_part, page, path_figure
+from jaxplore.study.comparison.page import RIM, curves_figure, find_known_part, page, path_figure
 from jaxplore.study.comparison.replay import NEVER
 from jaxplore.study.comparison.store import Store
 from jaxplore.study.comparison.table import map_tables
@@ -160,7 +160,7 @@ def test_paths_are_where_the_robot_was_on_a_turned_map() -> None:
     turned = OccupancyGrid(GRID.probability, 0.1, (2.0, -1.0, np.pi / 2))
     # 0.5 m along the map's rows, 0.3 m across them, from its corner.
     moved = row("room", "explorer", 0, positions_x=[1.7, 1.7], positions_y=[-0.5, 0.0])
-    (axes,) = path_figure(moved, turned, known_part(turned)).axes
+    (axes,) = path_figure(moved, turned, find_known_part(turned)).axes
     across, along = axes.get_lines()[0].get_data()
     np.testing.assert_allclose(across, [4.5, 9.5], atol=1e-6)
     np.testing.assert_allclose(along, [2.5, 2.5], atol=1e-6)
@@ -186,16 +186,16 @@ def in_the_unknown(grid: OccupancyGrid, margin: int = 5) -> OccupancyGrid:
 
 
 def test_only_what_is_known_of_a_map_is_drawn() -> None:
-    assert known_part(GRID) == (slice(0, 16), slice(0, 30))
+    assert find_known_part(GRID) == (slice(0, 16), slice(0, 30))
     roomy = in_the_unknown(GRID)
-    part = known_part(roomy)
+    part = find_known_part(roomy)
     assert roomy.probability[part].shape == (16 + 2 * RIM, 30 + 2 * RIM)
     (axes,) = path_figure(ROWS[0], roomy, part).axes
     assert axes.get_images()[0].get_array().shape[:2] == (16 + 2 * RIM, 30 + 2 * RIM)
     across, along = axes.get_lines()[0].get_data()
     assert (across[0], along[0]) == (pytest.approx(4.5 + RIM), pytest.approx(7.5 + RIM))
     nothing = OccupancyGrid.unknown((4, 6), GRID.frame)
-    assert nothing.probability[known_part(nothing)].shape == (4, 6)
+    assert nothing.probability[find_known_part(nothing)].shape == (4, 6)
 
 
 def test_curves_end_when_most_runs_have() -> None:

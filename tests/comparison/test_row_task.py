@@ -52,7 +52,7 @@ def test_a_map_is_the_same_in_any_folder(
     for name, data in read().items():
         (tmp_path / "copy" / name).write_bytes(data)
     (tmp_path / "plan.pgm").unlink()
-    copied = task.located({key: tmp_path / "copy"})
+    copied = task.relocate({key: tmp_path / "copy"})
     assert (copied.id, copied.group) == (task.id, task.group)
     (result,) = copied.run()
     after = read_grid(seen[0].entries["map"], 0.1)

@@ -21,7 +21,7 @@ from jaxplore.study.comparison.rows import (
     COLUMNS,
     TIMING,
     Row,
-    failed_row,
+    make_failed_row,
     make_row,
     store_row,
 )
@@ -171,7 +171,7 @@ def test_what_fails_is_a_row_of_one_line(episodes: tuple[MapEpisode, ...]) -> No
         *("format", "id", "map", "explorer", "seed", "error"),
         *("time_limit", "settings"),
     ]
-    assert row == failed_row(episodes[0], "this is wrong")
+    assert row == make_failed_row(episodes[0], "this is wrong")
     assert json.loads(row["settings"]) == episodes[0].entries
     with pytest.raises(KeyboardInterrupt):
         RowTask.from_episodes(episodes[:1], stopped).run()

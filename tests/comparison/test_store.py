@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from jaxplore._locks import OWN
-from jaxplore.report.folder import locked_folder
+from jaxplore.report.folder import lock_folder
 from jaxplore.study.comparison.compare_maps import compare_maps
 from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import maps_in
-from jaxplore.study.comparison.rows import COLUMNS, Row, failed_row, store_row
+from jaxplore.study.comparison.rows import COLUMNS, Row, make_failed_row, store_row
 from jaxplore.study.comparison.store import Plan, Store, open_store
 
 Pretend = Callable[[EpisodeBatch], list[Row]]
@@ -24,7 +24,7 @@ def test_what_is_put_there_is_done_and_what_failed_is_not(
 ) -> None:
     assert not any(store.is_done(episode.id) for episode in episodes)
     store.put(store_row(*pretend((episodes[0],))))
-    store.put(store_row(failed_row(episodes[1], "no")))
+    store.put(store_row(make_failed_row(episodes[1], "no")))
     for each in (store, open_store(store.folder, plan), open_store(store.folder)):
         assert [each.is_done(episode.id) for episode in episodes] == [True, False, False, False]
         assert [row["error"] for row in each.rows(["error"])] == [None, "no"]
@@ -123,7 +123,7 @@ def test_two_comparisons_in_one_folder_are_refused(
 ) -> None:
     store.put(store_row(*pretend((episodes[0],))))
     before = sorted(store.folder.rglob("*"))
-    with locked_folder(store.folder, "comparison folder"):
+    with lock_folder(store.folder, "comparison folder"):
         for overwrite in (False, True):
             with pytest.raises(ValueError, match="is in use by another process, number"):
                 compare_maps(plan, store.folder, overwrite=overwrite)
@@ -156,7 +156,7 @@ def test_a_former_comparison_goes_on_with_more(
 def test_settings_under_which_everything_failed_may_change(
     store: Store, plan: Plan, episodes: tuple[MapEpisode, ...], small: dict[str, Any]
 ) -> None:
-    store.put(store_row(failed_row(episodes[0], "no")))
+    store.put(store_row(make_failed_row(episodes[0], "no")))
     other = dataclasses.replace(plan, settings={**small, "time_limit": 2.0}, seeds=(4,))
     assert open_store(store.folder, other).rows() == []
     document = json.loads((store.folder / "comparison.json").read_text())
@@ -194,7 +194,7 @@ def test_a_map_may_change_until_a_run_was_made_on_it(
 ) -> None:
     east, west = episodes[0], episodes[2]
     store.put(store_row(*pretend((east,))))
-    store.put(store_row(failed_row(west, "no")))
+    store.put(store_row(make_failed_row(west, "no")))
     write_map(tmp_path / "maps" / "west.yaml", 13)
     changed = dataclasses.replace(plan, maps=maps_in(tmp_path / "maps"))
     again = open_store(store.folder, changed)

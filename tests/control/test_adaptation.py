@@ -14,7 +14,7 @@ ROWS, SIZE, SAMPLES = 3, 2, 16
 
 @jax.jit
 def adapted(adaptation, scale, weights, away):
-    return adaptation.adapted(scale, weights, away)
+    return adaptation.adapt(scale, weights, away)
 
 
 def formula(scale, weights, away, rate, floor, ceiling) -> np.ndarray:
@@ -78,7 +78,7 @@ def test_rate_0_changes_nothing_and_rate_1_forgets() -> None:
 def test_what_is_new_is_as_wide_as_given(rows: float) -> None:
     scale = np.array([[0.3, 0.4], [0.5, 0.6], [0.9, 0.2]])
     adaptation = CovarianceAdaptation()
-    actual = adaptation.shifted(jnp.asarray(scale, jnp.float32), jnp.asarray(rows))
+    actual = adaptation.shift(jnp.asarray(scale, jnp.float32), jnp.asarray(rows))
     line = np.concatenate([scale, np.ones((20, SIZE))])
     expected = [
         [np.interp(row + rows, np.arange(len(line)), line[:, u]) for u in range(SIZE)]
@@ -90,7 +90,7 @@ def test_what_is_new_is_as_wide_as_given(rows: float) -> None:
 @pytest.mark.parametrize(("floor", "ceiling", "new"), [(0.1, 0.5, 0.5), (1.5, 2.0, 1.5)])
 def test_what_is_new_is_within_the_bounds(floor: float, ceiling: float, new: float) -> None:
     adaptation = CovarianceAdaptation(0.2, floor, ceiling)
-    after = adaptation.shifted(jnp.full((ROWS, SIZE), floor), jnp.asarray(1.0))
+    after = adaptation.shift(jnp.full((ROWS, SIZE), floor), jnp.asarray(1.0))
     np.testing.assert_allclose(after[-1], new, rtol=1e-6)
     np.testing.assert_allclose(after[:-1], floor, rtol=1e-6)
 

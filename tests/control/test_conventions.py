@@ -206,8 +206,8 @@ def test_init_takes_controls_and_is_a_reset() -> None:
 def plane(**changes) -> MPPI:
     cost = (
         GoalCost([1.0, 0.5], terminal_weight=2.0)
-        + 0.3 * GoalCost([-2.0, 1.0]).named("other goal")
-        + (0.1 * QuadraticControlCost([1.0, 1.0])).named("effort")
+        + 0.3 * GoalCost([-2.0, 1.0]).with_name("other goal")
+        + (0.1 * QuadraticControlCost([1.0, 1.0])).with_name("effort")
         + 2.0 * ControlRateCost()
     )
     settings = {"horizon": 6, "num_samples": 24, "temperature": 0.5, "dt": DT}

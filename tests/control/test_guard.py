@@ -13,7 +13,7 @@ ROBOT = DifferentialDrive(max_speed=1.0)
 PERIOD = jnp.asarray(0.05)
 GUARD = MotionGuard(max_delay=4)
 expect = eqx.filter_jit(
-    lambda state, control: GUARD.moved(ROBOT, state, state.expected, control, PERIOD)
+    lambda state, control: GUARD.advance(ROBOT, state, state.expected, control, PERIOD)
 )
 step = eqx.filter_jit(ROBOT.step)
 COMMANDS = np.array([[0.1, -1.0], [0.3, 0.5], [-0.2, 1.5], [0.5, -0.4], [0.7, 0.9]], np.float32)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from jaxplore import MPPI, RK4, DifferentialDrive, GoalCost, LatencyCompensation
 from jaxplore.belief import Obstacles
-from jaxplore.control import LatencyState, predicted_state
+from jaxplore.control import LatencyState, predict_state
 from jaxplore.control.base import Controller, Info
 from jaxplore.geometry.outlines import Outlines
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.long
 ROBOT = DifferentialDrive(integrator=RK4(), drag=0.3)
 START = np.array([1.0, -2.0, 0.7, 0.5, 0.2])
 CONTROLS = np.array([[0.5, -1.0], [0.3, 0.8], [-0.2, 0.4], [0.1, 0.1]])
-predict = eqx.filter_jit(predicted_state)
+predict = eqx.filter_jit(predict_state)
 
 
 def exact(state, control, duration: float):

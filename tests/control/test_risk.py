@@ -473,7 +473,7 @@ def stages(cost, model, noise, initial, controls, dt, keys, draws, belief):
             state = model.step(state, control, dt)
         else:
             state = noise.step_at(model, state, control, dt * t, dt, draw)
-        known = Belief(obstacles=belief.obstacles.drawn(key))
+        known = Belief(obstacles=belief.obstacles.sample(key))
         return state, cost.stage(State(state, model), control, dt * (t + 1.0), known)
 
     inputs = (jnp.arange(len(controls), dtype=jnp.float32), controls, keys, draws)

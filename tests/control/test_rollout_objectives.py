@@ -27,7 +27,7 @@ OBJECTIVES = (
     GoalCost([3.0, 1.0], terminal_weight=4.0),
     ControlCost(),
     2.0 * ControlRateCost() + ControlJerkCost(include_applied=False),
-    WaypointCost([1.0, 0.5], terminal_weight=2.0).named("waypoint"),
+    WaypointCost([1.0, 0.5], terminal_weight=2.0).with_name("waypoint"),
     DiscObstacleCost([[1.0, 0.0], [0.5, 1.0]], 0.3),
 )
 
@@ -129,7 +129,7 @@ class Faulty(Cost):
 def test_an_objective_of_another_shape_is_named(method: str) -> None:
     model = DifferentialDrive()
     given = (jnp.asarray(start(model)), jnp.asarray(sequences(model, 6)), DT)
-    for cost, name in ((Faulty(method), "Faulty"), (Faulty(method).named("odd"), "odd")):
+    for cost, name in ((Faulty(method), "Faulty"), (Faulty(method).with_name("odd"), "odd")):
         with pytest.raises(ValueError, match=rf"{method} of {name} returns shape .*; accepted: \("):
             rollout_objectives(model, (OBJECTIVES[0], cost), *given)
 

@@ -159,7 +159,7 @@ def test_the_effective_sample_size_is_the_one_wanted(seed, decade, wanted, shape
 
 @jax.jit
 def temperature_of(part, costs, log_ratio):
-    return part.chosen_temperature(costs, log_ratio)
+    return part.choose_temperature(costs, log_ratio)
 
 
 @pytest.mark.parametrize("importance", [0.5, 1.0])

@@ -63,7 +63,7 @@ def test_a_weight_is_a_leaf(at, belief) -> None:
 
 def test_names_tell_terms_of_one_class_apart(stage, at, belief) -> None:
     left, right = GoalCost([0.0, 0.0]), GoalCost([4.0, 0.0])
-    cost = 2.0 * left.named("left") + (3.0 * right).named("right") + right
+    cost = 2.0 * left.with_name("left") + (3.0 * right).with_name("right") + right
     assert [name for name, _ in cost.terms()] == ["left", "right", "GoalCost"]
     state = at(1.0, 0.0)
     assert stage(cost, state) == pytest.approx(2.0 + 9.0 + 3.0)
@@ -73,7 +73,7 @@ def test_names_tell_terms_of_one_class_apart(stage, at, belief) -> None:
 
 def test_a_named_cost_pays_the_same_and_a_named_sum_is_one_term(stage, at, belief) -> None:
     inner = 2.0 * Terminal() + ControlCost() + ControlRateCost()
-    cost, state = inner.named("all"), at(4.0, 1.0)
+    cost, state = inner.with_name("all"), at(4.0, 1.0)
     (only,) = cost.terms()
     assert only[0] == "all"
     for found in (cost, only[1]):
@@ -83,15 +83,15 @@ def test_a_named_cost_pays_the_same_and_a_named_sum_is_one_term(stage, at, belie
 
 
 def test_a_named_weight_is_a_leaf_and_the_name_is_not() -> None:
-    first, second = ((w * ControlCost()).named("effort") for w in (1.0, 2.0))
+    first, second = ((w * ControlCost()).with_name("effort") for w in (1.0, 2.0))
     assert jax.tree.structure(first) == jax.tree.structure(second)
     assert [float(leaf) for leaf in jax.tree.leaves(second)] == [2.0]
-    assert jax.tree.structure(first) != jax.tree.structure((1.0 * ControlCost()).named("other"))
+    assert jax.tree.structure(first) != jax.tree.structure((1.0 * ControlCost()).with_name("other"))
 
 
 def test_a_rollout_lists_terms_by_their_names(at, belief) -> None:
     state = at(0.0, 0.0, v=1.0)
-    cost = GoalCost([9.0, 0.0]).named("far") + GoalCost([1.0, 0.0]).named("near")
+    cost = GoalCost([9.0, 0.0]).with_name("far") + GoalCost([1.0, 0.0]).with_name("near")
     controls = jnp.zeros((4, 2))
     found = rollout(state.dynamics, cost, state.values, controls, jnp.asarray(0.1), belief)
     xs = np.asarray(found.states[1:, 0], np.float64)
@@ -103,7 +103,7 @@ def test_a_rollout_lists_terms_by_their_names(at, belief) -> None:
 @pytest.mark.parametrize("name", ["", "  "])
 def test_a_bad_name_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=r"name is '.*'; accepted: a text that is not empty"):
-        ControlCost().named(name)
+        ControlCost().with_name(name)
 
 
 def test_a_bad_weight_is_refused() -> None:

@@ -141,8 +141,8 @@ PAIRS = {
     "to goal": [ToGoalCost(), ToGoalCost(2.0)],
     "region": [RegionCost(), RegionCost(2.0)],
     "sum": [
-        2.0 * GoalCost(HERE).named("a") + ControlCost(),
-        3.0 * GoalCost([1.0, 2.0], None, 2.0).named("a") + ControlCost(),
+        2.0 * GoalCost(HERE).with_name("a") + ControlCost(),
+        3.0 * GoalCost([1.0, 2.0], None, 2.0).with_name("a") + ControlCost(),
     ],
 }
 READERS = (

@@ -76,7 +76,7 @@ def paid_in(robot: Dynamics, controls) -> tuple[Any, ...]:
     of positions (2, T, d) [m/s] by the model's step alone, and positions."""
     start = robot.at_pose(0.0, 0.0, 0.0)
     sampled = rollout_objectives(robot, COSTS, start, jnp.moveaxis(controls, 0, -1), DT)
-    whole = COSTS[0].named("limit") + COSTS[1].named("wall") + COSTS[2].named("arrival")
+    whole = COSTS[0].with_name("limit") + COSTS[1].with_name("wall") + COSTS[2].with_name("arrival")
     inspected = jax.vmap(lambda each: rollout(robot, whole, start, each, DT))(controls)
     terms = jnp.stack([inspected.terms[name] for name in NAMES])
     states = inspected.states[:, 1:]

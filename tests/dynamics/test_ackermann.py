@@ -173,7 +173,9 @@ def test_bounds_and_names() -> None:
     assert float(state.heading) == 0.5
     assert float(state.speed) == pytest.approx(-0.7)
     assert float(state["steering"]) == pytest.approx(0.1)
-    blocked = ROBOT.blocked(robot.at_pose(1.0, 2.0, 0.5), jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2]))
+    blocked = ROBOT.resolve_collision(
+        robot.at_pose(1.0, 2.0, 0.5), jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2])
+    )
     # A rectangle that turned on the spot would turn into what it touches.
     np.testing.assert_allclose(blocked, [1.0, 2.0, 0.5, 0.0, 0.2])
 

@@ -74,7 +74,7 @@ def test_a_pose_begins_at_the_start_and_a_wall_stops_the_robot_only() -> None:
     before = model.at_pose(1.0, 2.0, 0.3)
     np.testing.assert_allclose(before, [1.0, 2.0, 0.3, 0.0, 0.0])
     after = jnp.asarray([2.0, 2.0, 0.4, 1.0, 0.7])
-    np.testing.assert_allclose(model.blocked(before, after), [1.0, 2.0, 0.4, 0.0, 0.7])
+    np.testing.assert_allclose(model.resolve_collision(before, after), [1.0, 2.0, 0.4, 0.0, 0.7])
 
 
 @pytest.mark.parametrize(

@@ -92,5 +92,5 @@ def test_state_is_read_by_name() -> None:
 def test_pose_and_contact() -> None:
     at_rest = ROBOT.at_pose(1.0, 2.0, 0.5)
     np.testing.assert_array_equal(at_rest, [1.0, 2.0, 0.5, 0.0, 0.0])
-    blocked = ROBOT.blocked(at_rest, jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2]))
+    blocked = ROBOT.resolve_collision(at_rest, jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2]))
     np.testing.assert_allclose(blocked, [1.0, 2.0, 0.6, 0.0, 0.2])

@@ -150,7 +150,7 @@ def test_at_a_pose_it_stands_still(robot, fly) -> None:
 @every_vehicle
 def test_blocked_it_stays_without_speed_and_a_disc_may_turn(robot) -> None:
     before, after = jnp.asarray(some_states(robot, 2).T)
-    blocked = robot.blocked(before, after)
+    blocked = robot.resolve_collision(before, after)
     np.testing.assert_array_equal(robot.position(blocked), robot.position(before))
     assert float(robot.speed(blocked)) == 0.0
     # A rectangle that turned on the spot would turn into what it touches.
@@ -165,7 +165,7 @@ def test_blocked_it_stays_without_speed_and_a_disc_may_turn(robot) -> None:
 def test_a_flying_robot_does_not_fall_where_it_is_blocked() -> None:
     for robot in (ROBOTS["Quadrotor"], ROBOTS["PointMass 3"]):
         before, after = jnp.asarray(some_states(robot, 2).T)
-        assert float(robot.component(robot.blocked(before, after), "vz")) == 0.0
+        assert float(robot.component(robot.resolve_collision(before, after), "vz")) == 0.0
 
 
 @every_robot

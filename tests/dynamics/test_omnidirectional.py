@@ -103,5 +103,5 @@ def test_state_is_read_by_name_and_both_axes_are_speed() -> None:
     assert float(state.speed) == pytest.approx(0.5)
     assert float(state["vy"]) == pytest.approx(-0.4)
     at_rest = EXACT.at_pose(1.0, 2.0, 0.5)
-    blocked = EXACT.blocked(at_rest, jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.3, 0.2]))
+    blocked = EXACT.resolve_collision(at_rest, jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.3, 0.2]))
     np.testing.assert_allclose(blocked, [1.0, 2.0, 0.6, 0.0, 0.0, 0.2])

@@ -83,7 +83,7 @@ def test_it_is_no_vehicle() -> None:
             read(jnp.zeros(2))
     with pytest.raises(ValueError, match=r"^pose is \(1\.0, 2\.0, 0\.5\), .*; accepted: a state"):
         ROBOT.at_pose(1.0, 2.0, 0.5)
-    np.testing.assert_array_equal(ROBOT.blocked(jnp.zeros(2), jnp.ones(2)), jnp.ones(2))
+    np.testing.assert_array_equal(ROBOT.resolve_collision(jnp.zeros(2), jnp.ones(2)), jnp.ones(2))
 
 
 def test_bounds() -> None:

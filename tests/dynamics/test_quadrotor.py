@@ -193,7 +193,7 @@ def test_at_a_pose_it_is_level(yaw: float) -> None:
 
 def test_blocked() -> None:
     before, after = ROBOT.at_pose(1.0, 2.0, 0.5, -1.0), jnp.asarray(random_start(0))
-    blocked = ROBOT.blocked(before, after)
+    blocked = ROBOT.resolve_collision(before, after)
     np.testing.assert_array_equal(blocked[:2], [1.0, 2.0])
     np.testing.assert_array_equal(blocked[3:6], 0.0)
     np.testing.assert_array_equal(blocked[2], after[2])

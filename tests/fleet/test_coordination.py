@@ -20,7 +20,7 @@ from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.assignment import (
     ELSEWHERE,
     NO_WAY,
-    assigned,
+    assign_clusters,
     cluster_costs,
     frontier_clusters,
     with_assignments,
@@ -87,7 +87,7 @@ def test_no_permutation_has_less_cost_than_the_assignment(given_costs) -> None:
     table = np.array(given_costs, float)
     robots, clusters = table.shape
     finite = np.minimum(table, NO_WAY)
-    chosen = assigned(table)
+    chosen = assign_clusters(table)
     taken = chosen[chosen >= 0]
     assert len(set(taken)) == len(taken)
     assert np.isfinite(table[chosen >= 0, taken]).all()

@@ -56,16 +56,16 @@ def test_a_share_puts_the_robots_of_all_in_their_order() -> None:
         return [np.concatenate([each, each + 10]) for each in mine]
 
     share = Share((0, 1), 4, meet)
-    assert share.own("abcd") == ("a", "b")
-    found = share.gathered(
+    assert share.select("abcd") == ("a", "b")
+    found = share.gather(
         [(np.float32(1.0), np.ones(2, np.int32)), (np.float32(2.0), np.zeros(2, np.int32))]
     )
     np.testing.assert_array_equal([each[0] for each in found], [1.0, 2.0, 11.0, 12.0])
     np.testing.assert_array_equal([each[1][0] for each in found], [1, 0, 11, 10])
-    here = share.gathered_here([np.zeros(3), np.ones(3)])
+    here = share.gather_on_host([np.zeros(3), np.ones(3)])
     np.testing.assert_array_equal(here, np.array([0, 1, 10, 11])[:, None] * np.ones(3))
     rows = ["own"]
-    assert Share.whole(1).gathered(rows) == rows
+    assert Share.whole(1).gather(rows) == rows
 
 
 def test_robots_that_cannot_be_divided_are_named(alone, fleet) -> None:

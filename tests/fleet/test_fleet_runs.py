@@ -219,11 +219,11 @@ def test_a_run_folder_holds_the_whole_run(recording, tmp_path) -> None:
 
 def test_positions_move_with_the_datum(recording) -> None:
     offset = np.array([1000.0, -500.0])
-    moved = recording.moved(offset)
+    moved = recording.move(offset)
     np.testing.assert_allclose(moved.trails, recording.trails + offset, rtol=1e-9)
     frame = recording.frames[-1]
     np.testing.assert_allclose(
-        frame.moved(offset, recording.state_names).positions, frame.positions + offset
+        frame.move(offset, recording.state_names).positions, frame.positions + offset
     )
 
 
@@ -254,7 +254,7 @@ def test_starts_are_chosen_near_one_another_and_always_the_same(alone) -> None:
 
 def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
     with pytest.raises(ValueError, match=r"guard of robots\[0\] is given"):
-        Fleet(alone.guarded(MotionGuard()), STARTS[:2])
+        Fleet(alone.with_guard(MotionGuard()), STARTS[:2])
     endless = eqx.tree_at(lambda each: each.ends_by, alone, jnp.int32(3))
     with pytest.raises(ValueError, match=r"target of robots\[0\] is 'never'; accepted in a fleet"):
         Fleet(endless, STARTS[:2])
@@ -264,7 +264,7 @@ def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
     with pytest.raises(ValueError, match="controllers has 1 entries; accepted: 2"):
         FleetController(controller.controllers[:1], scenario.robot)
     with pytest.raises(ValueError, match="guard is a MotionGuard; accepted for a fleet: None"):
-        scenario.guarded(MotionGuard())
+        scenario.with_guard(MotionGuard())
 
 
 def test_a_fleet_without_a_target_coverage_ends_at_its_own(alone) -> None:

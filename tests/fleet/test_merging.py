@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import InverseSensorModel
-from jaxplore.belief.merging import merged_map, own_change
-from jaxplore.simulation.fleet.radio import NEVER, Heard, newest, taken
+from jaxplore.belief.merging import log_odds_change, merge_maps
+from jaxplore.simulation.fleet.radio import NEVER, Heard, newest, take_values
 
 NUMBER, SHAPE = 3, (4, 5)
 # Beyond the clamp nothing is merged exactly, so it is not reached here.
@@ -21,14 +21,14 @@ ALL = jnp.ones((NUMBER, NUMBER), bool) & ~jnp.eye(NUMBER, dtype=bool)
 def meet(grids, merged, heard, links, step):
     """Let robots exchange maps, as `exchange` does for whole explorations."""
     every = jnp.arange(NUMBER)
-    own = jnp.stack([own_change(MODEL, merged[i], grids[i]) for i in range(NUMBER)])
+    own = jnp.stack([log_odds_change(MODEL, merged[i], grids[i]) for i in range(NUMBER)])
     log_odds = heard.log_odds.at[every, every].add(own)
     version = heard.version.at[every, every].set(step)
     source = newest(version, links)
-    received, is_news, _ = taken(log_odds, source, version)
+    received, is_news, _ = take_values(log_odds, source, version)
     is_new = is_news | (links.any(axis=1)[:, None, None] & (own != 0.0))
     after = jnp.stack(
-        [merged_map(MODEL, PRIOR, received[i], grids[i], is_new[i]) for i in range(NUMBER)]
+        [merge_maps(MODEL, PRIOR, received[i], grids[i], is_new[i]) for i in range(NUMBER)]
     )
     return after, Heard(received, heard.lengths, version[source, every[None, :]])
 
@@ -89,7 +89,7 @@ def test_what_is_taken_is_that_of_the_source_before_and_news_are_what_differs() 
     """Against NumPy, with random versions and links: many robots take from one that takes itself
     from another."""
     rng = np.random.default_rng(4)
-    every, take = np.arange(6), jax.jit(taken)
+    every, take = np.arange(6), jax.jit(take_values)
     chains = 0
     for _ in range(20):
         values = rng.choice([0.0, 1.0, 2.0], (6, 6, 3, 5)).astype(np.float32)
@@ -111,5 +111,5 @@ def test_the_clamp_bounds_the_sum_of_all() -> None:
     model = InverseSensorModel()
     full = jnp.full((2, *SHAPE), -7.0)
     now = jnp.full(SHAPE, 0.5)
-    found = merged_map(model, now, full, now, jnp.ones(SHAPE, bool))
+    found = merge_maps(model, now, full, now, jnp.ones(SHAPE, bool))
     np.testing.assert_allclose(found, jax.nn.sigmoid(model.minimum), rtol=1e-6)

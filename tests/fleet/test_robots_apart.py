@@ -8,12 +8,12 @@ import pytest
 from jaxplore import DifferentialDrive
 from jaxplore.belief.plans import FRESH, Plans
 from jaxplore.dynamics import Formation
-from jaxplore.simulation.fleet.contact import parted, planned_positions
+from jaxplore.simulation.fleet.contact import predict_positions, stop_touching
 
 ROBOT = DifferentialDrive(max_speed=1.0, radius=0.2)
 THREE = Formation([ROBOT] * 3)
 RADII = jnp.full(3, 0.2)
-stop = jax.jit(lambda before, moved: parted(THREE, RADII, before, moved))
+stop = jax.jit(lambda before, moved: stop_touching(THREE, RADII, before, moved))
 
 
 def states(*places):
@@ -55,7 +55,7 @@ def test_planned_positions_are_those_of_steps_of_the_model() -> None:
     begin = states((0.0, 0.0), (1.0, 0.0), (2.0, 0.0))
     controls = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (4, 6)), jnp.float32)
     dt = jnp.float32(0.1)
-    found = jax.jit(lambda: planned_positions(THREE, begin, controls, 7, dt))()
+    found = jax.jit(lambda: predict_positions(THREE, begin, controls, 7, dt))()
     assert found.shape == (3, 7, 2)
     for i in range(3):
         now = begin[i]
@@ -67,12 +67,12 @@ def test_planned_positions_are_those_of_steps_of_the_model() -> None:
 
 def test_a_plan_shifts_an_obstacle_as_long_as_it_is_fresh() -> None:
     line = jnp.stack([jnp.arange(5.0), jnp.zeros(5)], axis=-1)[None]
-    plans = Plans.unknown(1, 5, jnp.float32(0.1)).told(line, jnp.array([True]))
+    plans = Plans.unknown(1, 5, jnp.float32(0.1)).update(line, jnp.array([True]))
     np.testing.assert_allclose(plans.shift(jnp.float32(0.25)), [[2.5, 0.0]], atol=1e-5)
     np.testing.assert_allclose(plans.shift(jnp.float32(9.0)), [[4.0, 0.0]], atol=1e-5)
-    older = plans.after(jnp.float32(0.1))
+    older = plans.advance(jnp.float32(0.1))
     np.testing.assert_allclose(older.shift(jnp.float32(0.25)), [[2.5, 0.0]], atol=1e-5)
-    assert not plans.after(jnp.float32(FRESH)).is_fresh.any()
+    assert not plans.advance(jnp.float32(FRESH)).is_fresh.any()
     assert not Plans.unknown(2, 5, jnp.float32(0.1)).is_fresh.any()
 
 

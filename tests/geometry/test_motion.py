@@ -8,7 +8,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.geometry.motion import between, compose, moved_covariance, placed, rotation, wrapped
+from jaxplore.geometry.motion import (
+    between,
+    compose,
+    propagate_covariance,
+    rotation,
+    transform_points,
+    wrap_angle,
+)
 
 lengths = st.floats(-20.0, 20.0, width=32)
 angles = st.floats(-3.0, 3.0, width=32)
@@ -46,7 +53,7 @@ def test_between_leads_to_the_other_pose(pose: jax.Array, other: jax.Array) -> N
 
 @given(st.floats(-50.0, 50.0, width=32))
 def test_angles_are_wrapped(angle: float) -> None:
-    found = float(wrapped(jnp.asarray(angle, jnp.float32)))
+    found = float(wrap_angle(jnp.asarray(angle, jnp.float32)))
     assert abs(found) <= math.pi + 1e-6
     assert abs(math.remainder(found - angle, math.tau)) < 1e-4
 
@@ -55,7 +62,9 @@ def test_angles_are_wrapped(angle: float) -> None:
 def test_points_are_placed_as_motions_are(pose: jax.Array, seed: int) -> None:
     points = np.random.default_rng(seed).uniform(-5.0, 5.0, (4, 2)).astype(np.float32)
     expected = [compose(pose, jnp.append(jnp.asarray(each), 0.0))[:2] for each in points]
-    np.testing.assert_allclose(placed(pose, jnp.asarray(points)), jnp.stack(expected), atol=2e-5)
+    np.testing.assert_allclose(
+        transform_points(pose, jnp.asarray(points)), jnp.stack(expected), atol=2e-5
+    )
     np.testing.assert_allclose(
         rotation(pose[2])[:2, :2], matrix(np.asarray(pose, float))[:2, :2], atol=1e-6
     )
@@ -77,7 +86,7 @@ def test_covariance_has_the_derivatives_of_a_motion(
     by_pose = np.stack([moved(at + e, by) - moved(at - e, by) for e in step], axis=1) / 2e-5
     by_motion = np.stack([moved(at, by + e) - moved(at, by - e) for e in step], axis=1) / 2e-5
     expected = by_pose @ before @ by_pose.T + by_motion @ added @ by_motion.T
-    found = moved_covariance(
+    found = propagate_covariance(
         pose, motion, jnp.asarray(before, jnp.float32), jnp.asarray(added, jnp.float32)
     )
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max() + 1e-6)
@@ -96,7 +105,7 @@ def test_covariance_is_the_spread_of_a_chain_of_motions() -> None:
         dx, dy, turn = taken.T
         chains += np.stack([cos * dx - sin * dy, sin * dx + cos * dy, turn], axis=1)
         now = jnp.asarray(motion, jnp.float32)
-        covariance = moved_covariance(pose, now, covariance, jnp.asarray(noise, jnp.float32))
+        covariance = propagate_covariance(pose, now, covariance, jnp.asarray(noise, jnp.float32))
         pose = compose(pose, now)
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), (chains - np.asarray(pose)).T)
     np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.12)

@@ -82,7 +82,7 @@ def test_a_look_resets_what_is_seen_and_the_rest_grows_older(looks) -> None:
     watch, never = IdlenessMap(5.0), np.full((2, 3), np.inf)
     found, expected = watch.init((2, 3)), never
     for is_seen, elapsed in looks:
-        found = watch.seen(found, jnp.asarray(is_seen), jnp.asarray(elapsed, jnp.float32))
+        found = watch.update(found, jnp.asarray(is_seen), jnp.asarray(elapsed, jnp.float32))
         expected = np.where(is_seen, 0.0, expected + float(elapsed))
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-30)
 

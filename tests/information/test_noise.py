@@ -32,7 +32,7 @@ def total_and_parts(p, noise, edges=None, no_return=True):
 
 @functools.partial(jax.jit, static_argnames=("cell_size",))
 def measured(noise, hit, edges, cell_size=None):
-    return noise.measured(hit, edges, cell_size)
+    return noise.apply(hit, edges, cell_size)
 
 
 def normal_matrix(edges: np.ndarray, std: float, within: float = math.inf) -> np.ndarray:
@@ -125,7 +125,7 @@ def test_uniform_noise_is_the_double_sum(n: int, half_width: int) -> None:
 
 
 def test_noise_spreads_any_hits() -> None:
-    """`measured` itself is linear: not only distributions of a first hit."""
+    """`apply` itself is linear: not only distributions of a first hit."""
     hit, edges = np.random.default_rng(1).uniform(0, 1, 50).astype(np.float32), np.arange(51.0)
     for noise, matrix in (
         (GaussianNoise(2.0), normal_matrix(edges, 2.0)),

@@ -111,8 +111,8 @@ def added(poses: np.ndarray, motions: np.ndarray) -> np.ndarray:
 def step(
     localiser: Localiser, state: LocaliserState, motion: jax.Array, scan: Scan
 ) -> LocaliserState:
-    moved = localiser.predicted(state, motion, jnp.asarray(1.0))
-    return localiser.corrected(moved, [scan], SENSORS)
+    moved = localiser.predict(state, motion, jnp.asarray(1.0))
+    return localiser.correct(moved, [scan], SENSORS)
 
 
 @pytest.fixture(scope="module")
@@ -131,8 +131,8 @@ def driven(scan_of: Callable[..., Scan]) -> Callable[..., tuple[LocaliserState, 
             scan = scan_of(seen, pose, SENSOR, NOISE, index)
             state = step(LOCALISER, state, jnp.asarray(motions[index], jnp.float32), scan)
             if closer is not None and index % 16 == 15:
-                state = closer.examined(LOCALISER, state, SENSORS)
-                moved = closer.settled(LOCALISER, state, SENSORS)
+                state = closer.find_loops(LOCALISER, state, SENSORS)
+                moved = closer.optimise_poses(LOCALISER, state, SENSORS)
                 state = state if moved is None else moved
         return state, poses
 
@@ -168,7 +168,7 @@ def test_scans_reduce_the_drift_of_the_odometry(around: Any) -> None:
 
 def test_closed_loops_bring_the_poses_closer(around: Any) -> None:
     state, poses, _ = around
-    examined = CLOSER.examined(LOCALISER, state, SENSORS)
+    examined = CLOSER.find_loops(LOCALISER, state, SENSORS)
     number = int(examined.closures.number)
     assert number >= 3
     # Each loop agrees with the truth.
@@ -182,7 +182,7 @@ def test_closed_loops_bring_the_poses_closer(around: Any) -> None:
         assert abs(math.remainder(motion[2] - turn, math.tau)) < 0.05
         assert float(state.scans.way[newer] - state.scans.way[older]) > float(LOCALISER.memory)
     # A small tolerance, so that the poses move.
-    settled = LoopCloser(tolerance=1e-3).settled(LOCALISER, examined, SENSORS)
+    settled = LoopCloser(tolerance=1e-3).optimise_poses(LOCALISER, examined, SENSORS)
     assert settled is not None
     before, after = (absolute_error(poses, stored(each)).rms for each in (state, settled))
     assert after < before
@@ -211,7 +211,7 @@ def test_a_match_that_the_pose_graph_contradicts_closes_no_loop(around: Any) -> 
     default = float(CLOSER.most_stds)
     for most in (default, 1e9):
         closer = eqx.tree_at(lambda each: each.most_stds, CLOSER, jnp.asarray(most))
-        closures = closer.examined(LOCALISER, state, SENSORS).closures
+        closures = closer.find_loops(LOCALISER, state, SENSORS).closures
         newer = np.asarray(closures.pairs)[: int(closures.number), 1]
         found[most] = int(is_late[newer].sum())
     assert found[1e9] >= 1
@@ -221,7 +221,7 @@ def test_a_match_that_the_pose_graph_contradicts_closes_no_loop(around: Any) -> 
 def test_old_places_nearby_say_how_much_a_loop_would_tell(around: Any) -> None:
     state, *_ = around
     before = np.asarray(CLOSER.spreads(LOCALISER, state))
-    examined = CLOSER.examined(LOCALISER, state, SENSORS)
+    examined = CLOSER.find_loops(LOCALISER, state, SENSORS)
     after = np.asarray(CLOSER.spreads(LOCALISER, examined))
     number, way = int(state.scans.number), np.asarray(state.scans.way)
     away = np.hypot(*(stored(state)[:, :2] - stored(state)[-1, :2]).T)
@@ -246,15 +246,15 @@ def test_closing_along_the_way_keeps_the_map_whole(driven: Any) -> None:
 
 def test_the_same_scans_are_not_examined_twice(around: Any) -> None:
     state, *_ = around
-    once = CLOSER.examined(LOCALISER, state, SENSORS)
+    once = CLOSER.find_loops(LOCALISER, state, SENSORS)
     assert int(once.closures.examined) == int(state.scans.number)
-    twice = CLOSER.examined(LOCALISER, once, SENSORS)
+    twice = CLOSER.find_loops(LOCALISER, once, SENSORS)
     for first, second in zip(jax.tree.leaves(once), jax.tree.leaves(twice), strict=True):
         np.testing.assert_array_equal(first, second)
     # What fits within the tolerance stays; the loops are kept all the same.
-    assert LoopCloser(tolerance=100.0).settled(LOCALISER, once, SENSORS) is None
-    assert LoopCloser(tolerance=100.0).closed(LOCALISER, state, SENSORS) is None
-    assert CLOSER.settled(LOCALISER, state, SENSORS) is None
+    assert LoopCloser(tolerance=100.0).optimise_poses(LOCALISER, once, SENSORS) is None
+    assert LoopCloser(tolerance=100.0).close_loops(LOCALISER, state, SENSORS) is None
+    assert CLOSER.optimise_poses(LOCALISER, state, SENSORS) is None
 
 
 def test_another_place_closes_no_loop(driven: Any) -> None:
@@ -268,7 +268,7 @@ def test_another_place_closes_no_loop(driven: Any) -> None:
     found = np.asarray(state.scans.poses)[number - 6 : number, :2]
     nearest = np.hypot(*(found[:, None] - np.asarray(state.scans.poses)[:20, :2]).T)
     assert nearest.min(axis=0).min() < float(CLOSER.reach)
-    examined = CLOSER.examined(LOCALISER, state, SENSORS)
+    examined = CLOSER.find_loops(LOCALISER, state, SENSORS)
     pairs = np.asarray(examined.closures.pairs)[: int(examined.closures.number)]
     assert not (pairs[:, 1] >= len(away)).any()
     assert len(poses) == number

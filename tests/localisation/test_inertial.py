@@ -51,7 +51,7 @@ def reckoned(odometry: InertialOdometry, start: Reckoning, motions: jax.Array) -
     """Return what a filter knows after measured motions (T, 3)."""
 
     def step(known: Reckoning, motion: jax.Array) -> tuple[Reckoning, None]:
-        return odometry.predicted(known, motion, jnp.asarray(PERIOD)), None
+        return odometry.predict(known, motion, jnp.asarray(PERIOD)), None
 
     return jax.lax.scan(step, start, motions)[0]
 
@@ -241,7 +241,7 @@ def test_a_corrected_pose_corrects_the_errors_as_a_kalman_filter_does() -> None:
         *(jnp.asarray(each, jnp.float32) for each in (np.zeros(5), joint[3:, 3:], joint[:3, 3:]))
     )
     prior = jnp.array([2.0, -1.0, 3.1])
-    found = errors.corrected(
+    found = errors.correct(
         prior,
         jnp.asarray(joint[:3, :3], jnp.float32),
         # The yaw may be counted otherwise.
@@ -252,7 +252,7 @@ def test_a_corrected_pose_corrects_the_errors_as_a_kalman_filter_does() -> None:
     np.testing.assert_allclose(found.covariance, spread[3:, 3:], rtol=2e-3, atol=2e-6)
     np.testing.assert_allclose(found.cross, spread[:3, 3:], rtol=2e-3, atol=2e-6)
     # A covariance that cannot be inverted teaches nothing.
-    same = errors.corrected(prior, jnp.zeros((3, 3)), prior, jnp.zeros((3, 3)))
+    same = errors.correct(prior, jnp.zeros((3, 3)), prior, jnp.zeros((3, 3)))
     np.testing.assert_array_equal(same.mean, errors.mean)
     np.testing.assert_array_equal(same.covariance, errors.covariance)
     np.testing.assert_array_equal(same.cross, jnp.zeros((3, 5)))
@@ -277,7 +277,7 @@ def test_poses_from_time_to_time_teach_the_velocity_and_the_biases() -> None:
             def step(carry, given):
                 known, true = carry
                 motion, exact, key, is_told = given
-                known = odometry.predicted(known, motion, jnp.asarray(PERIOD))
+                known = odometry.predict(known, motion, jnp.asarray(PERIOD))
                 true = true + jnp.array([exact[0], exact[1], exact[2]])
                 spread = known.covariance
                 gain = spread @ jnp.linalg.inv(spread + jnp.diag(std**2))
@@ -286,7 +286,7 @@ def test_poses_from_time_to_time_teach_the_velocity_and_the_biases() -> None:
                 better = known._replace(
                     pose=pose,
                     covariance=spread - gain @ spread,
-                    errors=known.errors.corrected(known.pose, spread, pose, spread - gain @ spread),
+                    errors=known.errors.correct(known.pose, spread, pose, spread - gain @ spread),
                 )
                 known = jax.tree.map(lambda new, old: jnp.where(is_told, new, old), better, known)
                 return (known, true), None
@@ -329,7 +329,7 @@ def test_wheels_estimate_nothing() -> None:
     motion, after = wheels.measure(jnp.array([0.3, 0.1, 0.2]), jnp.asarray(0.1), errors, KEY)
     assert after is errors
     assert wheels.velocity_error(errors, None) is None
-    known = wheels.predicted(
+    known = wheels.predict(
         Reckoning(jnp.zeros(3), jnp.zeros((3, 3)), None, jnp.ones(())), motion, jnp.asarray(0.1)
     )
     np.testing.assert_array_equal(known.pose, motion)
@@ -359,6 +359,6 @@ def test_other_numbers_do_not_recompile(traced: Callable[..., int]) -> None:
         motion, _ = odometry.measure(
             jnp.array([0.1, 0.0, 0.1]), jnp.asarray(0.1), odometry.draw(key), key
         )
-        return odometry.predicted(at_rest(odometry), motion, jnp.asarray(0.1))
+        return odometry.predict(at_rest(odometry), motion, jnp.asarray(0.1))
 
     assert traced(step, [(InertialOdometry(**{name: 0.1}), KEY) for name in NAMES]) == 1

@@ -11,7 +11,7 @@ from jaxplore.geometry.trajectory import accumulate_motions, motions_between, st
 from jaxplore.localisation import Localiser, Odometry, map_log
 from jaxplore.localisation.log_drawing import Sampling, frame_around, log_sensor
 from jaxplore.localisation.log_mapping import _follow_odometry, _thin_scans
-from jaxplore.localisation.log_odometry import drifted_motions, fit_odometry
+from jaxplore.localisation.log_odometry import fit_odometry, measure_motions
 from jaxplore.localisation.log_trust import judge_poses
 from jaxplore.sensing import LaserLog, Lidar, Scan
 
@@ -60,7 +60,7 @@ def test_the_sensor_has_the_beams_of_the_log(beams: int, spacing: float, first: 
 
 def test_motions_without_errors_are_those_of_the_log() -> None:
     log = log_of(181, 1.0)
-    motions, elapsed = drifted_motions(log, EXACT, KEY)
+    motions, elapsed = measure_motions(log, EXACT, KEY)
     np.testing.assert_allclose(elapsed, [0.0] + [0.5] * 39)
     reached = accumulate_motions(log.poses[0], np.asarray(motions, float))
     np.testing.assert_allclose(reached[:, :2], log.poses[:, :2], atol=1e-4)
@@ -71,15 +71,15 @@ def test_motions_without_errors_are_those_of_the_log() -> None:
 def test_drift_has_the_size_of_the_odometry_and_its_seed() -> None:
     log = log_of(181, 1.0, number=4000)
     noisy = Odometry(0.02, math.radians(1.0), 0.0, 0.0)
-    motions, _ = drifted_motions(log, noisy, KEY)
-    exact, _ = drifted_motions(log, EXACT, KEY)
+    motions, _ = measure_motions(log, noisy, KEY)
+    exact, _ = measure_motions(log, EXACT, KEY)
     error = np.asarray(motions - exact, float)[1:]
     length = np.hypot(*np.asarray(exact, float)[1:, :2].T)
     scaled = error / np.sqrt(length)[:, None] / [0.02, 0.02, math.radians(1.0)]
     # Five standard errors.
     np.testing.assert_allclose(scaled.std(axis=0), 1.0, atol=0.06)
-    again, _ = drifted_motions(log, noisy, KEY)
-    other, _ = drifted_motions(log, noisy, jax.random.key(1))
+    again, _ = measure_motions(log, noisy, KEY)
+    other, _ = measure_motions(log, noisy, jax.random.key(1))
     np.testing.assert_array_equal(again, motions)
     assert np.abs(np.asarray(other - motions)).max() > 0.0
 

@@ -339,7 +339,7 @@ def test_random_poses_are_uniform_over_free_cells(origin) -> None:
     probability[1, 1:4] = probability[3, 0] = 0.1
     probability[2, 2] = 0.9
     grid = jx.OccupancyGrid(probability, 0.5, origin)
-    for shown in (grid, grid.padded((6, 8))):
+    for shown in (grid, grid.pad((6, 8))):
         poses = SMALL.likelihood_field(shown).random_poses(8000, KEY)
         cells = np.asarray(grid.frame.to_cell(poses[:, :2]))
         counts = np.zeros((4, 5))
@@ -359,7 +359,7 @@ def test_beyond_the_map_there_is_no_wall() -> None:
     np.testing.assert_allclose(field.distance.values, 0.6)
     assert float(field.distance(jnp.asarray([50.0, 0.0]))) == pytest.approx(0.6)
     # Padding is off the map too.
-    padded = LikelihoodField.of(open_map.padded((9, 8)), 0.6)
+    padded = LikelihoodField.of(open_map.pad((9, 8)), 0.6)
     np.testing.assert_allclose(padded.distance.values, 0.6)
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from jaxplore.geometry.motion import compose, moved_covariance
-from jaxplore.localisation import Graph, optimised
+from jaxplore.geometry.motion import compose, propagate_covariance
+from jaxplore.localisation import Graph, optimise
 from jaxplore.localisation.pose_graph import HUBER, expected_error, motion_covariances
 
 pytest.importorskip("gtsam")
@@ -47,7 +47,7 @@ def test_the_error_of_a_loop_is_spread_along_the_chain() -> None:
         np.array([[10.1, 0.2, 0.0]]),
         covariance[None],
     )
-    found = optimised(graph)
+    found = optimise(graph)
     share = np.arange(11) / 11.0
     expected = np.stack([np.arange(11) + 0.1 * share, 0.2 * share, np.zeros(11)], axis=1)
     np.testing.assert_allclose(found.poses, expected, atol=1e-5)
@@ -86,7 +86,7 @@ def test_the_expected_error_is_that_of_drawn_motions(is_closed: bool) -> None:
         if is_closed:
             seen = loop + 0.1 * root @ rng.normal(size=3)
             measured = Graph(poses, drawn, given, pairs[0], seen[None], pairs[2])
-            poses = optimised(measured).poses
+            poses = optimise(measured).poses
         squared.append(aligned_error(poses, true) ** 2)
     expected = expected_error(graph)
     assert expected == pytest.approx(math.sqrt(np.mean(squared)), rel=0.1)
@@ -106,7 +106,7 @@ def test_errors_are_logarithms_also_of_a_loop_that_is_wrong() -> None:
     covariances = np.array([np.diag([0.04, 0.01, 0.02]), np.diag([0.02, 0.05, 0.01])])
     loop, of_loop = np.array([0.9, 1.4, -0.6]), np.diag([0.3, 0.1, 0.2])
     pairs = np.array([[0, 2]])
-    found = optimised(Graph(chain(motions), motions, covariances, pairs, loop[None], of_loop[None]))
+    found = optimise(Graph(chain(motions), motions, covariances, pairs, loop[None], of_loop[None]))
     squares = []
     for i, j, measured, covariance in (
         (0, 1, motions[0], covariances[0]),
@@ -139,7 +139,7 @@ def test_a_loop_that_is_heavier_takes_more_of_the_error() -> None:
         0.5 * covariance[None],
     )
     moved = np.concatenate([[0.0], 0.1 * np.cumsum(weights) / (weights.sum() + 0.5)])
-    np.testing.assert_allclose(optimised(graph).poses[:, 0], np.arange(5) + moved, atol=1e-5)
+    np.testing.assert_allclose(optimise(graph).poses[:, 0], np.arange(5) + moved, atol=1e-5)
 
 
 def test_a_wrong_loop_pulls_with_bounded_force() -> None:
@@ -157,7 +157,7 @@ def test_a_wrong_loop_pulls_with_bounded_force() -> None:
             np.array([[4.0 + wrong, 0.0, 0.0]]),
             covariance[None],
         )
-        moved.append(optimised(graph).poses[:, 0] - np.arange(5))
+        moved.append(optimise(graph).poses[:, 0] - np.arange(5))
     for each in moved:
         np.testing.assert_allclose(each, HUBER * 0.1 * np.arange(5), rtol=1e-3)
 
@@ -230,7 +230,7 @@ def test_a_graph_has_the_minimum_of_a_general_minimiser(seed: int) -> None:
         return np.concatenate([of_chain.ravel(), scaled.ravel()])
 
     best = least_squares(residuals, graph.poses[1:].ravel(), max_nfev=200)
-    found = optimised(graph)
+    found = optimise(graph)
     assert found.error == pytest.approx(best.cost, rel=1e-3)
     np.testing.assert_allclose(found.poses[1:], best.x.reshape(-1, 3), atol=2e-3)
     # The third loop and the first bound the drift, although the second is wrong.
@@ -242,11 +242,11 @@ def test_the_covariance_of_a_chain_is_that_of_its_motions() -> None:
     rng = np.random.default_rng(5)
     motions = np.column_stack([rng.uniform(0.3, 1.0, 15), 0.3 * rng.normal(size=(15, 2))])
     noises = np.array([np.diag(rng.uniform(0.01, 0.05, 3)) ** 2 for _ in motions])
-    found = optimised(Graph(chain(motions), motions, noises, *NOTHING))
+    found = optimise(Graph(chain(motions), motions, noises, *NOTHING))
     pose, covariance = jnp.zeros(3), jnp.zeros((3, 3))
     for motion, noise in zip(motions, noises, strict=True):
         taken = jnp.asarray(motion, jnp.float32)
-        covariance = moved_covariance(pose, taken, covariance, jnp.asarray(noise, jnp.float32))
+        covariance = propagate_covariance(pose, taken, covariance, jnp.asarray(noise, jnp.float32))
         pose = compose(pose, taken)
     np.testing.assert_allclose(found.poses[-1], pose, atol=1e-4)
     np.testing.assert_allclose(
@@ -256,7 +256,7 @@ def test_the_covariance_of_a_chain_is_that_of_its_motions() -> None:
 
 
 def test_a_single_node_is_known() -> None:
-    found = optimised(Graph(np.array([[1.0, 2.0, 0.5]]), *NOTHING[1:], *NOTHING))
+    found = optimise(Graph(np.array([[1.0, 2.0, 0.5]]), *NOTHING[1:], *NOTHING))
     np.testing.assert_allclose(found.poses, [[1.0, 2.0, 0.5]])
     np.testing.assert_array_equal(found.covariance, np.zeros((3, 3)))
 

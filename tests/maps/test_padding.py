@@ -15,7 +15,7 @@ from jaxplore.belief import unknown_fraction
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.ground import Ground
-from jaxplore.maps.padding import common_shapes, padded_shape
+from jaxplore.maps.padding import choose_padded_shape, common_shapes
 from jaxplore.sensing.base import update_grid
 from jaxplore.sensing.beams import Scan
 
@@ -34,19 +34,19 @@ def grid_of(rows: int = 21, columns: int = 34, seed: int = 0) -> OccupancyGrid:
 
 
 GRID = grid_of()
-PADDED = GRID.padded((40, 60))
+PADDED = GRID.pad((40, 60))
 
 
 @given(SIDES, SIDES)
 def test_a_side_grows_by_less_than_a_quarter_or_32_and_only_once(rows, columns) -> None:
-    padded = padded_shape((rows, columns))
+    padded = choose_padded_shape((rows, columns))
     for side, more in zip((rows, columns), padded, strict=True):
         assert side <= more < max(1.25 * side, side + 32)
-    assert padded_shape(padded) == padded
+    assert choose_padded_shape(padded) == padded
 
 
 def test_there_are_four_sizes_between_powers_of_two() -> None:
-    sizes = {padded_shape((side, side))[0] for side in range(129, 1025)}
+    sizes = {choose_padded_shape((side, side))[0] for side in range(129, 1025)}
     assert sizes == {160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 896, 1024}
 
 
@@ -65,7 +65,7 @@ def test_two_of_three_maps_share_the_shape_that_needs_the_fewest_cells() -> None
     maps = {"small": (100, 100), "wide": (100, 300), "long": (310, 100)}
     chosen = common_shapes(maps, 2)
     # Brute force: all ways to give two of them one shape.
-    sides = {name: padded_shape(shape) for name, shape in maps.items()}
+    sides = {name: choose_padded_shape(shape) for name, shape in maps.items()}
 
     def cells(pair: tuple[str, str]) -> int:
         rows, columns = np.max([sides[name] for name in pair], axis=0)
@@ -86,13 +86,13 @@ def test_cells_are_the_same_on_the_map_and_off_it() -> None:
 
 
 def test_padding_can_be_undone_and_is_not_repeated() -> None:
-    np.testing.assert_array_equal(PADDED.unpadded().probability, GRID.probability)
-    assert PADDED.unpadded().map_shape is None
-    assert PADDED.padded() is PADDED
-    assert GRID.padded().shape == (32, 64)
-    np.testing.assert_array_equal(PADDED.padded((50, 60)).unpadded().probability, GRID.probability)
+    np.testing.assert_array_equal(PADDED.unpad().probability, GRID.probability)
+    assert PADDED.unpad().map_shape is None
+    assert PADDED.pad() is PADDED
+    assert GRID.pad().shape == (32, 64)
+    np.testing.assert_array_equal(PADDED.pad((50, 60)).unpad().probability, GRID.probability)
     with pytest.raises(ValueError, match=r"shape is \(20, 60\); accepted: at least \(21, 34\)"):
-        PADDED.padded((20, 60))
+        PADDED.pad((20, 60))
 
 
 def test_files_and_other_resolutions_have_the_map_alone(tmp_path) -> None:
@@ -145,7 +145,7 @@ def test_a_scan_beyond_the_edge_changes_no_cell_off_the_map() -> None:
         return update_grid(grid, LIDAR.sight(grid, scan, pose), MODEL)
 
     alone, padded = updated(GRID), updated(PADDED)
-    np.testing.assert_array_equal(padded.unpadded().probability, alone.probability)
+    np.testing.assert_array_equal(padded.unpad().probability, alone.probability)
     assert (np.asarray(padded.probability)[21:] == 1.0).all()
     assert not np.array_equal(alone.probability, GRID.probability)
 
@@ -159,13 +159,13 @@ def test_the_unknown_share_is_that_of_the_map() -> None:
 def test_ground_is_0_off_the_map_and_can_be_cut_back() -> None:
     height = np.random.default_rng(1).uniform(0.0, 0.1, (21, 34))
     ground = Ground(height, 0.1)
-    padded = ground.padded((40, 60))
+    padded = ground.pad((40, 60))
     assert not np.asarray(padded.is_traversable)[21:].any()
-    cut = padded.cropped((21, 34))
+    cut = padded.crop((21, 34))
     for one, other in zip(jax.tree.leaves(cut), jax.tree.leaves(ground), strict=True):
         np.testing.assert_array_equal(one, other)
     with pytest.raises(ValueError, match="accepted: at least"):
-        ground.padded((10, 60))
+        ground.pad((10, 60))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxplore.maps.files.voxelise import TOLERANCE, touched_voxels
+from jaxplore.maps.files.voxelise import TOLERANCE, find_touched_voxels
 
 SHAPE = (3, 4, 5)
 SLACK = 3 * TOLERANCE
@@ -56,7 +56,7 @@ CORNERS = st.one_of(
 @given(CORNERS)
 def test_what_a_triangle_touches_is_marked_and_nothing_else(corners: np.ndarray) -> None:
     faces = np.array([[k, k + 1, k + 2] for k in range(len(corners) - 2)])
-    found = touched_voxels(corners, faces, SHAPE)
+    found = find_touched_voxels(corners, faces, SHAPE)
     moved = np.minimum(corners, np.array(SHAPE[::-1]) - 2 * SLACK)
     assert not (found & ~touches(corners, faces, SLACK)).any()
     assert not (touches(moved, faces, -2 * SLACK) & ~found).any()
@@ -65,7 +65,7 @@ def test_what_a_triangle_touches_is_marked_and_nothing_else(corners: np.ndarray)
 def test_a_surface_between_two_voxels_belongs_to_the_upper_one_and_to_the_last_at_the_end() -> None:
     def layers(height: float) -> list[int]:
         corners = np.array([[0.0, 0, height], [5.0, 0, height], [5.0, 4, height], [0.0, 4, height]])
-        found = touched_voxels(corners, np.array([[0, 1, 2], [0, 2, 3]]), SHAPE)
+        found = find_touched_voxels(corners, np.array([[0, 1, 2], [0, 2, 3]]), SHAPE)
         assert found.all(axis=(1, 2)).tolist() == found.any(axis=(1, 2)).tolist()
         return np.flatnonzero(found.any(axis=(1, 2))).tolist()
 
@@ -80,7 +80,7 @@ def test_a_hall_of_twelve_triangles_takes_little_more_than_its_grid() -> None:
     sides = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
     faces = np.array([each for a, b, c, d in sides for each in ([a, b, c], [a, c, d])])
     tracemalloc.start()
-    found = touched_voxels(corners, faces, (30, 200, 600))
+    found = find_touched_voxels(corners, faces, (30, 200, 600))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     wanted = np.ones((30, 200, 600), bool)
@@ -96,7 +96,7 @@ def test_many_small_triangles_leave_no_hole() -> None:
     corners = (10.0 + 9.5 * ball).reshape(-1, 3)
     k = np.arange(39 * 80).reshape(39, 80)[:, :-1].ravel()
     faces = np.concatenate([np.stack([k, k + 1, k + 81], 1), np.stack([k, k + 81, k + 80], 1)])
-    found = touched_voxels(corners, faces, (20, 20, 20))
+    found = find_touched_voxels(corners, faces, (20, 20, 20))
     centres = np.indices(found.shape) + 0.5
     off = np.abs(np.linalg.norm(centres - 10.0, axis=0) - 9.5)
     # The triangles are up to 0.03 inside of the sphere, and a voxel reaches 0.866 from its centre.

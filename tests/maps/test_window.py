@@ -16,9 +16,9 @@ REACH = 0.83
 def around(position):
     """The corner of the window around a position, and where it and a grown one are in the map."""
     window = Window.around(position, REACH, FRAME, SHAPE)
-    grown = window.grown(3)
+    grown = window.grow(3)
     marks = [each.write(jnp.zeros(SHAPE), jnp.ones(each.shape)) for each in (window, grown)]
-    return window.corner, grown.corner, marks, window.within(grown).corner
+    return window.corner, grown.corner, marks, window.relative_to(grown).corner
 
 
 @given(st.floats(-1.0, 7.0), st.floats(-2.0, 6.0))

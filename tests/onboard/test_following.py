@@ -83,7 +83,7 @@ def test_a_piece_begins_when_the_robot_stands_at_the_end_of_the_last(make_follow
     driver = Driver(pilot.controller, pilot.robot, np.asarray(pilot.scenario.start))
 
     def waits_for(x, y, speed):
-        task.adapted(driver, np.zeros(2), np.zeros(2, np.float32))
+        task.update_control(driver, np.zeros(2), np.zeros(2, np.float32))
         return task.waits_for(np.array([x, y]), Motion(speed, 0.0))
 
     assert waits_for(1.9, 0.0, 0.5) == waits_for(1.9, 0.0, 0.0) == ""

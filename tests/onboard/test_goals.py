@@ -13,7 +13,7 @@ OFFSET = np.array([500_000.0, 4_649_776.0])
 
 
 def local_map(robot, shape=None) -> OccupancyGrid:
-    grid = robot.state.belief.grid.unpadded()
+    grid = robot.state.belief.grid.unpad()
     values = np.asarray(grid.probability)
     if shape is not None:
         values = values[: shape[0], : shape[1]]

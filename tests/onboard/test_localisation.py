@@ -8,7 +8,7 @@ from jaxplore.belief import scan_map
 from jaxplore.build.onboard import build_pilot, make_node_settings
 from jaxplore.localisation import LoopCloser
 from jaxplore.onboard import localisation, steps
-from jaxplore.onboard.localisation import MapPoses, composed
+from jaxplore.onboard.localisation import MapPoses, compose
 from jaxplore.onboard.odometry import PoseHistory
 from jaxplore.onboard.options import Mode
 from jaxplore.sensing.beams import Scan
@@ -54,7 +54,7 @@ def explored(drive_localised):
         if event == COMPILED:
             compiled.append(seconds)
 
-    whole = scan_map.revised
+    whole = scan_map.close_loops
 
     def revised(*given):
         known, belief = whole(*given)
@@ -62,7 +62,7 @@ def explored(drive_localised):
         return known, belief
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scan_map, "revised", revised)
+        patch.setattr(scan_map, "close_loops", revised)
         found = []
 
         def change(now, measured):
@@ -88,7 +88,7 @@ def test_the_pose_in_the_map_is_far_better_than_the_odometry(explored) -> None:
     (pilot, robot, commands, poses, truth, corrections), _, _ = explored
     # What the correction takes away is the drift of the odometry.
     reckoned = np.array([
-        composed(localisation.inverse(each), pose)
+        compose(localisation.inverse(each), pose)
         for each, pose in zip(corrections, poses, strict=True)
     ])  # fmt: skip
     odometry, known = distances(reckoned, truth), distances(poses, truth)
@@ -131,7 +131,7 @@ def test_an_odometry_that_jumps_brakes_the_robot_and_moves_nothing_in_the_map(
 ) -> None:
     def jump(now, measured):
         far = np.array([2.0, -1.0, 1.2]) * (now >= 1.0)
-        return measured._replace(pose=composed(far, measured.pose))
+        return measured._replace(pose=compose(far, measured.pose))
 
     pilot, robot, commands, poses, truth, _ = drive_localised(3.5, jump)
     assert commands[50].reason.startswith("the pose jumped by ")
@@ -201,7 +201,7 @@ def test_the_transform_to_the_map_is_exact_far_from_the_origin() -> None:
     np.testing.assert_allclose(poses.offset, [500_000.3, 4_649_776.2], atol=1e-6)
     correction = np.array([0.2, -0.1, 0.05])
     transform = poses.in_map(np.zeros(3), correction)
-    placed = composed(transform, far)
+    placed = compose(transform, far)
     np.testing.assert_allclose(placed, poses.in_map(far, correction), atol=1e-6)
     expected = far + correction
     np.testing.assert_allclose(placed, expected, atol=1e-6)

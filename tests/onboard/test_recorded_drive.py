@@ -63,14 +63,14 @@ def drives():
     """Return what the robot knew after each of its scans in the loop, and what the pilot did."""
     # The two rooms in the map of the pilots of the other tests, whose programs it shares.
     world = np.zeros((64, 80), np.float32)
-    world[6:54, 6:70] = np.asarray(rooms().unpadded().probability)
+    world[6:54, 6:70] = np.asarray(rooms().unpad().probability)
     ring = np.zeros(world.shape, bool)
     ring[10:24, 19:34] = True
     ring[11:23, 20:33] = False
     grid = OccupancyGrid(world, 0.1, (-1.6, -1.6, 0.0))
     faults = Faults(scan_dropout=DROPOUT, walls=ring, walls_from=WALLS)
     scenario = scenario_in(grid, (0.0, 0.0, -0.8), goal=(0.0, 0.0), faults=faults)
-    scenario = scenario.guarded(MotionGuard())
+    scenario = scenario.with_guard(MotionGuard())
     controller, key = Circles(), jax.random.key(4)
     state = initial_loop_state(controller, scenario, key)
     mapper = Mapper(scenario, DriveLog(scenario))

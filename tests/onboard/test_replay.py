@@ -252,7 +252,7 @@ def test_monitors_see_a_drive_and_change_it(make_pilot, make_robot, drive, tmp_p
     def step(seconds):
         for _ in range(round(seconds / robot.period)):
             (command,), _ = drive(pilot, robot, robot.period)
-            watch.after(command)
+            watch.show(command)
         return command
 
     step(1.0)

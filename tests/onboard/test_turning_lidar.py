@@ -92,7 +92,7 @@ def test_a_pilot_drives_by_a_turning_lidar_with_errors_beside_the_centre(
     assert robot.coverage > 0.6
     # What the pilot takes to be occupied is at a wall of the world.
     grid = pilot.belief.grid
-    cells = np.argwhere(np.asarray(grid.cropped(grid.probability)) > 0.7)
+    cells = np.argwhere(np.asarray(grid.crop(grid.probability)) > 0.7)
     origin = np.asarray(grid.frame.origin)[:2] + pilot.offset
     away = away_from_walls(origin + grid.resolution * (cells[:, ::-1] + 0.5))
     assert len(cells) > 60

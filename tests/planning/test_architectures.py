@@ -42,7 +42,7 @@ from jaxplore.planning import InformativeMPPI, ReferenceStart
 from jaxplore.planning.presets.flight import Flight
 from jaxplore.planning.presets.quadrotor import ARCHITECTURES, zone_choice
 from jaxplore.report.exploration.data import ExplorationRecord
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
 
@@ -75,7 +75,7 @@ def run(
         if int(done) < CHUNK:
             break
         state, records, done = run_chunk(
-            (controller, scenario, key, jnp.asarray(CHUNK)), copied(state), CHUNK
+            (controller, scenario, key, jnp.asarray(CHUNK)), copy_tree(state), CHUNK
         )
         rows.append(jax.tree.map(lambda leaf, n=int(done): np.asarray(leaf)[:n], records))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
@@ -194,7 +194,7 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
     for step in range(CHUNK):
         before = after
         after, records, done = run_chunk(
-            (controller, scenario, key, jnp.asarray(1)), copied(before), CHUNK
+            (controller, scenario, key, jnp.asarray(1)), copy_tree(before), CHUNK
         )
         assert int(done) == 1
         scan_key, control_key = jax.random.split(jax.random.fold_in(key, step))
@@ -264,7 +264,7 @@ NUMBERS = {
 def test_no_number_retraces(architecture: str, controllers, scenario) -> None:
     controller = controllers[architecture]
     start, one, key = initial_loop_state(controller, scenario), jnp.asarray(1), jax.random.key(0)
-    first, _, _ = run_chunk((controller, scenario, key, one), copied(start), CHUNK)
+    first, _, _ = run_chunk((controller, scenario, key, one), copy_tree(start), CHUNK)
     compiled = run_chunk._cached._cache_size()
     flight = FLIGHT._replace(
         temperature=2.0,
@@ -279,7 +279,7 @@ def test_no_number_retraces(architecture: str, controllers, scenario) -> None:
     )
     fields = FIELDS._replace(field_period=0.4)
     other = flight_controller(architecture, flight, fields=fields, **NUMBERS).at_period(PERIOD)
-    second, _, _ = run_chunk((other, scenario, key, one), copied(start), CHUNK)
+    second, _, _ = run_chunk((other, scenario, key, one), copy_tree(start), CHUNK)
     assert run_chunk._cached._cache_size() == compiled
     assert not np.array_equal(first.task.robot, second.task.robot)
 

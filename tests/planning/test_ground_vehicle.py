@@ -33,7 +33,7 @@ from jaxplore.planning import Average, Candidates, SafeFusion, Situation
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import Fused
 from jaxplore.planning.presets.ground_vehicle import COLLISION, REGIONS, ROLE_WEIGHTS, objectives
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
 
@@ -378,7 +378,7 @@ def test_two_seconds_without_a_collision(scenario) -> None:
     key, steps = jax.random.key(0), STEPS_OF_LOOP
     state = initial_loop_state(portfolio, scenario, key)
     count = jnp.asarray(steps, jnp.int32)
-    _, record, done = run_chunk((portfolio, scenario, key, count), copied(state), steps)
+    _, record, done = run_chunk((portfolio, scenario, key, count), copy_tree(state), steps)
     assert int(done) == steps
     assert not record.is_collision.any()
     assert record.is_finite.all()

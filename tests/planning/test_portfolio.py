@@ -90,7 +90,7 @@ def test_a_portfolio_of_one_is_that_controller(parameterisation) -> None:
     mppi = template(parameterisation=parameterisation)
     given = {"mppi": mppi, "names": ["only"], "is_normalised": False, "fusion": "best-only"}
     one = portfolio({"goal": GOAL}, [[1.0]], **given)
-    alone = eqx.tree_at(lambda c: c.cost, mppi, 1.0 * GOAL.named("goal") + HARD)
+    alone = eqx.tree_at(lambda c: c.cost, mppi, 1.0 * GOAL.with_name("goal") + HARD)
     assert_alike(one.single("only"), alone, 0.0)
     state, other = one.init(), alone.init()
     for seed in range(3):
@@ -196,7 +196,9 @@ def test_spread_costs_uncertainty_and_diversity_in_numpy(empty_belief) -> None:
         apart = [np.sqrt(((one - other) ** 2).mean()) for one, other in pairs]
         assert float(said.diversity) == pytest.approx(np.mean(apart), rel=1e-4)
         factors = common / np.maximum(spread[:3], FLOOR)
-        judged = sum((cost.named(name) for name, cost in OBJECTIVES.items()), HARD.named("hard"))
+        judged = sum(
+            (cost.with_name(name) for name, cost in OBJECTIVES.items()), HARD.with_name("hard")
+        )
         for index in range(3):
             plan, applied = after.members.nominal[index], state.members.applied[index]
             terms = follow(judged, plan, applied).terms

@@ -37,7 +37,7 @@ from jaxplore.planning.strategy.target_rules import (
     Wander,
 )
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
 
@@ -358,7 +358,7 @@ def test_rules_explore_without_contact(name: str) -> None:
         )
     state = initial_loop_state(controller, scenario, KEY)
     state, records, done = run_chunk(
-        (controller, scenario, KEY, jnp.asarray(800, jnp.int32)), copied(state), 800
+        (controller, scenario, KEY, jnp.asarray(800, jnp.int32)), copy_tree(state), 800
     )
     steps = int(done)
     assert not np.asarray(records.is_collision)[:steps].any()
@@ -367,7 +367,7 @@ def test_rules_explore_without_contact(name: str) -> None:
     assert end > begin + 0.2
     heavier = make(rule, shape, min_information=2.0, every=5).at_period(0.05)
     before = run_chunk._cached._cache_size()
-    run_chunk((heavier, scenario, KEY, jnp.asarray(1, jnp.int32)), copied(state), 800)
+    run_chunk((heavier, scenario, KEY, jnp.asarray(1, jnp.int32)), copy_tree(state), 800)
     assert run_chunk._cached._cache_size() == before
 
 

@@ -25,7 +25,7 @@ def choices(distances, is_on_the_way):
     def choose(progress, given):
         distance, on_the_way = given
         field = jnp.full(SHAPE, distance)
-        progress = progress.checked(field, NODE, on_the_way, SPACING)
+        progress = progress.update(field, NODE, on_the_way, SPACING)
         return progress, progress
 
     begin = TargetProgress.begin(SHAPE).towards(jnp.asarray(10.0), jnp.asarray(True))

@@ -165,7 +165,7 @@ def test_nothing_moves_that_is_nowhere(start, known) -> None:
 @eqx.filter_jit
 def plan_of(controller, belief, observation):
     plan = controller.strategic_plan(belief, observation)
-    return plan, controller.known(belief, observation, plan, jnp.asarray(0.1))
+    return plan, controller.extend_belief(belief, observation, plan, jnp.asarray(0.1))
 
 
 def test_the_plan_leads_to_the_best_heading_and_the_costs_read_it(known, controllers) -> None:

@@ -9,12 +9,12 @@ from jaxplore.maps.world import World
 from jaxplore.report.drawing.colours import ALARM
 from jaxplore.report.drawing.picture import WIDTH
 from jaxplore.report.exploration.animation import frame_image
-from jaxplore.report.exploration.anomalies import found_at, matches, middles
+from jaxplore.report.exploration.anomalies import find_report_times, matches, middles
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import AnomalyData
 from jaxplore.report.exploration.plots import map_figure
-from jaxplore.report.stored import restored_recording, stored_arrays
-from jaxplore.simulation.exploration.planted import planted_anomalies
+from jaxplore.report.stored import pack_recording, unpack_recording
+from jaxplore.simulation.exploration.planted import find_anomalies
 
 BOXES = np.array([[0.5, 0.5, 1.0, 1.0], [2.0, 1.0, 2.4, 1.4], [1.4, 0.2, 1.6, 0.4]])
 FOUND = AnomalyData(
@@ -43,7 +43,7 @@ def test_a_report_is_of_what_is_within_three_quarters_of_a_metre() -> None:
             expected[row, column] = np.hypot(x - nearest[0], y - nearest[1]) <= 0.75
     np.testing.assert_array_equal(matches(FOUND), expected)
     # The second was reported as another kind, the third was only suspected.
-    np.testing.assert_array_equal(found_at(FOUND), [1.5, np.inf, np.inf])
+    np.testing.assert_array_equal(find_report_times(FOUND), [1.5, np.inf, np.inf])
 
 
 def test_metrics_tell_what_was_found_and_when(patrol) -> None:
@@ -98,7 +98,7 @@ def test_a_frame_has_a_star_until_the_report_and_a_ring_after_it(patrol) -> None
 
 
 def test_a_stored_run_has_its_anomalies(patrol) -> None:
-    again = restored_recording(stored_arrays(patrol))
+    again = unpack_recording(pack_recording(patrol))
     for one, other in zip(again.anomalies, FOUND, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -119,7 +119,7 @@ def test_planted_are_hidden_and_gone_shapes_and_who_is_where_nobody_may_be() -> 
             ],
         }
     )
-    planted = planted_anomalies(world)
+    planted = find_anomalies(world)
     assert planted.kinds.tolist() == [1, 1, 2, 3]
     expected = [(0.9, 3.9, 2.1, 5.1), (3.0, 3.0, 4.0, 3.5), (5.5, 1.0, 6.5, 2.0)]
     np.testing.assert_allclose(planted.boxes[:3], expected, atol=1e-6)

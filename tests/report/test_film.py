@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxplore.report.drawing.film import CAPTION, FilmOptions, told_speed
+from jaxplore.report.drawing.film import CAPTION, FilmOptions, describe_speed
 from jaxplore.simulation.run import Run
 
 
@@ -74,7 +74,7 @@ def test_the_caption_of_a_gif_tells_the_speed_at_which_it_plays(
     ],
 )
 def test_speeds_in_words(speed, words):
-    assert told_speed(speed) == words
+    assert describe_speed(speed) == words
 
 
 def test_without_a_path_the_film_is_for_a_notebook(recording, monkeypatch, tmp_path):

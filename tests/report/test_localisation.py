@@ -11,7 +11,7 @@ import jaxplore as jx
 from jaxplore.report import (
     Alignment,
     absolute_error,
-    aligned,
+    align,
     aligned_coverage,
     map_agreement,
     relative_error,
@@ -22,7 +22,7 @@ angles = st.floats(-7.0, 7.0)
 
 
 def moved_poses(motion: Alignment, poses: np.ndarray) -> np.ndarray:
-    return np.column_stack([motion.moved(poses[:, :2]), poses[:, 2] + motion.yaw])
+    return np.column_stack([motion.apply(poses[:, :2]), poses[:, 2] + motion.yaw])
 
 
 def drive(seed: int, number: int = 60) -> np.ndarray:
@@ -41,9 +41,9 @@ def test_a_rigid_motion_is_undone(seed: int, yaw: float, x: float, y: float) -> 
     true = drive(seed)
     motion = Alignment(yaw, np.array([x, y]))
     estimated = moved_poses(motion.inverse(), true)
-    found = aligned(true, estimated)
+    found = align(true, estimated)
     assert math.remainder(found.yaw - yaw, math.tau) == pytest.approx(0.0, abs=1e-10)
-    np.testing.assert_allclose(found.moved(estimated[:, :2]), true[:, :2], atol=1e-9)
+    np.testing.assert_allclose(found.apply(estimated[:, :2]), true[:, :2], atol=1e-9)
     # Turns by whole circles are no error.
     estimated[:, 2] += math.tau * np.random.default_rng(seed).integers(-3, 4, len(true))
     error = absolute_error(true, estimated)
@@ -57,14 +57,14 @@ def test_a_rigid_motion_is_undone(seed: int, yaw: float, x: float, y: float) -> 
 def test_no_other_motion_is_closer(seed: int, yaw: float) -> None:
     rng = np.random.default_rng(seed)
     true, estimated = rng.normal(size=(2, 12, 2))
-    best = aligned(true, estimated)
+    best = align(true, estimated)
 
     def squares(motion: Alignment) -> float:
-        return float(((motion.moved(estimated) - true) ** 2).sum())
+        return float(((motion.apply(estimated) - true) ** 2).sum())
 
     # With any rotation the best translation is between the means.
     other = Alignment(yaw, np.zeros(2))
-    other = other._replace(translation=true.mean(axis=0) - other.moved(estimated.mean(axis=0)))
+    other = other._replace(translation=true.mean(axis=0) - other.apply(estimated.mean(axis=0)))
     assert squares(best) <= squares(other) + 1e-9
     assert squares(best) <= squares(best._replace(translation=best.translation + 0.01))
 
@@ -122,7 +122,7 @@ def test_one_wrong_turn_is_an_error_of_the_pieces_that_hold_it() -> None:
     ],
 )
 def test_wrong_trajectories_are_refused(true, estimated, message: str) -> None:
-    for measure in (aligned, absolute_error, lambda p, q: relative_error(p, q, 1.0)):
+    for measure in (align, absolute_error, lambda p, q: relative_error(p, q, 1.0)):
         with pytest.raises(ValueError, match=message):
             measure(true, estimated)
 
@@ -230,9 +230,9 @@ def test_coverage_counts_reachable_cells_that_are_known_to_be_free() -> None:
     away = Alignment(1.0, np.array([1e300, 0.0]))
     assert aligned_coverage(world, reachable, belief, away) == 0.0
     # Padding changes nothing.
-    same = aligned_coverage(world.padded((9, 16)), np.pad(reachable, ((0, 1), (0, 8))), belief)
+    same = aligned_coverage(world.pad((9, 16)), np.pad(reachable, ((0, 1), (0, 8))), belief)
     assert same == pytest.approx(0.5)
-    assert map_agreement(world.padded((9, 16)), belief.padded((9, 16))).num_reference == 0
+    assert map_agreement(world.pad((9, 16)), belief.pad((9, 16))).num_reference == 0
 
 
 def test_wrong_maps_are_refused() -> None:

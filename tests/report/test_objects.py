@@ -12,7 +12,7 @@ from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import ObjectData
 from jaxplore.report.exploration.objects import class_colours
 from jaxplore.report.exploration.plots import map_figure
-from jaxplore.report.stored import restored_recording, stored_arrays
+from jaxplore.report.stored import pack_recording, unpack_recording
 
 NEVER = np.inf
 # Two targets, a barrel that was reported as a person and then as what it is, and a door that was
@@ -112,7 +112,7 @@ def test_classes_have_colours_of_their_own() -> None:
 
 
 def test_a_stored_run_has_its_objects(search) -> None:
-    again = restored_recording(stored_arrays(search))
+    again = unpack_recording(pack_recording(search))
     for one, other in zip(again.objects, OBJECTS, strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(again.frames[0].classes, search.frames[0].classes)

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.contour import QuadContourSet
 from matplotlib.patches import Circle, Polygon
 
-from jaxplore.report.exploration.overlays import closed_cells
+from jaxplore.report.exploration.overlays import find_closed_cells
 from jaxplore.report.exploration.plots import map_figure
 from jaxplore.report.exploration.window import Window
 
@@ -66,7 +66,7 @@ def test_what_there_is_not_has_no_name(vehicle, field, value, label):
 
 def test_open_ground_that_may_not_be_entered_is_tinted_and_hatched(vehicle, recording):
     window = Window.around_reachable(vehicle)
-    closed = closed_cells(vehicle, window)
+    closed = find_closed_cells(vehicle, window)
     # 30 by 20 cells, walls around; from column 18 and row 12 on. The margin is 9 cells wide.
     expected = np.zeros(window.shape, bool)
     expected[9 + 12 : 9 + 19, 9 + 18 : 9 + 29] = True

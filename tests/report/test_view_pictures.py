@@ -19,7 +19,7 @@ from jaxplore.view.history import History, Thinned, plain
 from jaxplore.view.replay import Replay
 from jaxplore.view.rollouts import weight_colours
 from jaxplore.view.scene import linear_light
-from jaxplore.view.shapes import prisms, rounded, segments, strip, turn
+from jaxplore.view.shapes import grow_outlines, prisms, segments, strip, turn
 from jaxplore.view.textures import Ground
 
 
@@ -30,7 +30,7 @@ def rng() -> np.random.Generator:
 def test_rounded_outlines_are_those_of_grown_polygons() -> None:
     corners = np.array([[[0.0, 0.0], [1.0, 0.2], [0.4, 0.9]], [[2.0, 1.0], [2.0, 1.0], [2.0, 1.0]]])
     radii = np.array([0.1, 0.3])
-    for outline, polygon, radius in zip(rounded(corners, radii), corners, radii, strict=True):
+    for outline, polygon, radius in zip(grow_outlines(corners, radii), corners, radii, strict=True):
         exact = shapely.MultiPoint(polygon).convex_hull.buffer(radius, quad_segs=200)
         drawn = shapely.Polygon(outline)
         # The outline has corners on the edge of the exact shape, and nothing beyond it.
@@ -40,7 +40,7 @@ def test_rounded_outlines_are_those_of_grown_polygons() -> None:
 
 
 def test_prisms_are_closed_but_for_their_floors() -> None:
-    outlines = rounded(rng().normal(size=(3, 4, 2)), np.full(3, 0.2))
+    outlines = grow_outlines(rng().normal(size=(3, 4, 2)), np.full(3, 0.2))
     vertices, faces = prisms(outlines, 0.5, 1.5)
     volumes = np.einsum(
         "fi,fi->f", vertices[faces[:, 0]], np.cross(vertices[faces[:, 1]], vertices[faces[:, 2]])
@@ -53,7 +53,7 @@ def test_prisms_are_closed_but_for_their_floors() -> None:
 
 def test_shapes_that_are_nowhere_are_deep_below_the_ground() -> None:
     corners = np.array([[[0.0, 0.0]], [[np.nan, np.nan]]])
-    vertices, _ = prisms(rounded(corners, np.array([1.0, 1.0])), 0.0, 1.0)
+    vertices, _ = prisms(grow_outlines(corners, np.array([1.0, 1.0])), 0.0, 1.0)
     assert np.isfinite(vertices).all()
     assert (vertices[len(vertices) // 2 :, 2] < -1000.0).all()
     lines = np.array([[[0.0, 0.0], [1.0, 0.0], [np.inf, 0.0]]])
@@ -232,9 +232,9 @@ def test_a_run_far_away_is_drawn_near_the_origin(name, request) -> None:
     made = request.getfixturevalue(name)
     run = made() if callable(made) else made
     offset = np.array([500_000.0, 4_649_776.0])
-    frames = tuple(each.moved(offset, run.state_names) for each in run.frames)
+    frames = tuple(each.move(offset, run.state_names) for each in run.frames)
     drawn = []
-    for each in (run, dataclasses.replace(run.moved(offset), frames=frames)):
+    for each in (run, dataclasses.replace(run.move(offset), frames=frames)):
         replay = Replay(each)
         try:
             nodes = replay._display._scene._nodes

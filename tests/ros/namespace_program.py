@@ -16,7 +16,7 @@ from jaxplore.maps.datum import ORIGIN
 from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.simulated_robot import RobotMeasurement
 from jaxplore.ros import control, robot
-from jaxplore.ros.link import Link, connected
+from jaxplore.ros.link import Link, connect
 from jaxplore.ros.messages import odometry_of
 from jaxplore.sensing.beams import Scan
 from jaxplore.settings.node import NodeSettings
@@ -65,7 +65,7 @@ def measured(number: int) -> RobotMeasurement:
 
 def main() -> dict:
     seen = {}
-    with connected("watcher") as watcher:
+    with connect("watcher") as watcher:
         ros = watcher.ros
         stamped, corrections = [], []
         topic = "/fleet/robot2/jaxplore/correction"

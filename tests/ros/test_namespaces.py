@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from jaxplore.onboard.drive_clock import Instant
 from jaxplore.ros.inputs import subscribe_pose
 from jaxplore.settings.node import NodeSettings, part_node
-from jaxplore.settings.ros_names import MOST_CHARACTERS, checked_namespace
+from jaxplore.settings.ros_names import MOST_CHARACTERS, check_namespace
 
 HERE = Path(__file__).parent
 ros = pytest.mark.skipif(
@@ -110,7 +110,7 @@ def test_names_are_those_that_ros_accepts(name) -> None:
     absolute = name if name.startswith("/") else f"/{name}"
     # The root is a namespace of ROS, but none that tells robots apart.
     by_ros = name not in ("", "/") and is_accepted(lambda: validate_namespace(absolute))
-    assert is_accepted(lambda: checked_namespace("namespace", name)) == by_ros
+    assert is_accepted(lambda: check_namespace("namespace", name)) == by_ros
     # Left out is what ROS takes and nobody means: braces, and ~ without a slash, to which ROS
     # appends the rest of the name.
     if "{" not in name and not re.match("~(?!/)", name):
@@ -122,7 +122,7 @@ def test_the_longest_namespace_leaves_room_for_the_longest_topic() -> None:
     most = "n" * MOST_CHARACTERS
     assert NodeSettings(namespace=f"/{most[1:]}", scan_topic=most).namespace == most[1:]
     with pytest.raises(ValueError, match=f"at most {MOST_CHARACTERS} characters"):
-        checked_namespace("namespace", f"{most}n")
+        check_namespace("namespace", f"{most}n")
     # rmw.h: RMW_TOPIC_MAX_NAME_LENGTH is 255 without the 8 characters of a prefix.
     assert len(f"/{most}/{most}") <= 247
 

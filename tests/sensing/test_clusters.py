@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.sensing.clusters import SKIPPED, cluster_points, has_neighbour, hiding_edges
+from jaxplore.sensing.clusters import SKIPPED, cluster_points, find_hiding_edges, has_neighbour
 
 BEAMS, GAP, WIDTH = 24, 0.3, 0.6
 ANGLES = 2 * np.pi * np.arange(BEAMS) / BEAMS
@@ -17,7 +17,7 @@ ANGLES = 2 * np.pi * np.arange(BEAMS) / BEAMS
 @functools.cache
 def compiled(is_circle: bool):
     find = functools.partial(cluster_points, number=BEAMS, is_circle=is_circle)
-    edges = functools.partial(hiding_edges, number=BEAMS, is_circle=is_circle)
+    edges = functools.partial(find_hiding_edges, number=BEAMS, is_circle=is_circle)
     return jax.jit(find), jax.jit(edges)
 
 

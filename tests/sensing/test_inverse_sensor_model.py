@@ -58,14 +58,14 @@ def test_a_gradual_model_moves_walls_too() -> None:
     expected = 1.0 / (1.0 + math.exp(-(math.log(0.9 / 0.1) - 2.0)))
     assert looked(gradual, 0.9, hit=False) == pytest.approx(expected, rel=1e-5)
     p = jnp.asarray([0.0, 1e-5, 0.5, 0.9, 1.0])
-    np.testing.assert_array_equal(gradual.settled(p), p)
+    np.testing.assert_array_equal(gradual.settle(p), p)
     assert not gradual.stays(p, jnp.asarray(-2.0)).any()
 
 
 def test_what_is_settled_counts_as_certain_and_nothing_else() -> None:
     p = [0.0, 0.001, 0.01, 0.0102, 0.3, 0.5, 0.9, 0.9898, 0.99, 0.999, 1.0]
     expected = np.asarray([0, 0, 0, 0.0102, 0.3, 0.5, 0.9, 0.9898, 1, 1, 1], np.float32)
-    np.testing.assert_array_equal(DECISIVE.settled(jnp.asarray(p)), expected)
+    np.testing.assert_array_equal(DECISIVE.settle(jnp.asarray(p)), expected)
 
 
 def test_only_walls_stay_and_only_when_passed() -> None:

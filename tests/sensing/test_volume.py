@@ -21,7 +21,7 @@ RINGS = RingLidar(5, 24, max_range=3.0, range_noise=0.0)
 MODEL = InverseSensorModel()
 scan = eqx.filter_jit(lambda sensor, world, at, turn, key: sensor.scan(world, at, turn, key=key))
 update = eqx.filter_jit(
-    lambda sensor, grid, at, turn, found: sensor.updated(grid, at, turn, found, MODEL)
+    lambda sensor, grid, at, turn, found: sensor.update(grid, at, turn, found, MODEL)
 )
 
 

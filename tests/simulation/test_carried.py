@@ -14,7 +14,7 @@ from jaxplore.localisation import Localiser, LoopCloser, ParticleFilter, Particl
 from jaxplore.simulation import Faults, Localisation
 from jaxplore.simulation.exploration.carrying import landing
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 from jaxplore.simulation.run import simulate
 
 LIDAR = jx.Lidar(num_beams=90, max_range=4.0, range_noise=0.01)
@@ -46,7 +46,7 @@ def scenario_with(faults: Faults, **options) -> ExplorationScenario:
         goal_radius=0.6,
         faults=faults,
         localisation=Localisation(localiser=ParticleLocaliser(known)),
-    ).guarded(jx.MotionGuard())
+    ).with_guard(jx.MotionGuard())
 
 
 CONTROLLER = jx.explorer(ROBOT, horizon=30, num_samples=128)
@@ -116,7 +116,7 @@ AT_RATE = CONTROLLER.at_period(CARRIED.control_period)
 
 def one_step(scenario: ExplorationScenario, state):
     given = AT_RATE, scenario, jax.random.key(0), np.array(1, np.int32)
-    after, records, _ = run_chunk(given, copied(state), CHUNK)
+    after, records, _ = run_chunk(given, copy_tree(state), CHUNK)
     return after, jax.tree.map(lambda rows: np.asarray(rows)[0], records)
 
 
@@ -212,7 +212,7 @@ def test_from_an_unknown_start_it_finds_itself_by_scans() -> None:
     @jax.jit
     def seen(state, step):
         scan = LIDAR.scan(grid, truth, key=jax.random.fold_in(jax.random.key(1), step))
-        return localiser.corrected(state, (scan,), (LIDAR,))
+        return localiser.correct(state, (scan,), (LIDAR,))
 
     start = eqx.filter_jit(localiser.start)
     state = start(truth, grid, (LIDAR,), jax.random.key(2))
@@ -225,7 +225,7 @@ def test_from_an_unknown_start_it_finds_itself_by_scans() -> None:
     assert bool(state.is_known)
     np.testing.assert_allclose(state.pose, truth, atol=0.15)
     # Between scans the pose follows the odometry.
-    predicted = eqx.filter_jit(localiser.predicted)
+    predicted = eqx.filter_jit(localiser.predict)
     moved = predicted(state, jnp.array([0.5, 0.0, 0.1]), jnp.array(0.5))
     yaw = float(state.pose[2])
     ahead = np.asarray(state.pose[:2]) + 0.5 * np.array([np.cos(yaw), np.sin(yaw)])

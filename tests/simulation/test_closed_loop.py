@@ -22,7 +22,7 @@ from jaxplore.robot.robot import RobotState
 from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.exploration.judge import Judged
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.loop import _initial_task, copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import _initial_task, copy_tree, initial_loop_state, run_chunk
 from jaxplore.simulation.run import Run, record_run, simulate
 
 pytestmark = pytest.mark.long
@@ -40,7 +40,7 @@ def run(experiment, steps: int, key: jax.Array, pieces: int = 1):
         for _ in range(0, steps // pieces, CHUNK):
             count = min(CHUNK, steps // pieces)
             state, records, done = run_chunk(
-                (controller, scenario, key, jnp.asarray(count, jnp.int32)), copied(state), CHUNK
+                (controller, scenario, key, jnp.asarray(count, jnp.int32)), copy_tree(state), CHUNK
             )
             rows.append(jax.tree.map(lambda leaf, n=int(done): np.asarray(leaf)[:n], records))
     return state, jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
@@ -132,7 +132,7 @@ def a_smaller_map() -> OccupancyGrid:
 
 def test_a_run_does_not_depend_on_the_shape_of_the_arrays(make) -> None:
     controller, scenario = make()
-    wide = make(scenario.world.padded((96, 160)))[1]
+    wide = make(scenario.world.pad((96, 160)))[1]
     assert wide.map_arrays.world.shape == (96, 160)
     key = jax.random.key(5)
     (state, one), (padded, other) = (run((controller, each), 50, key) for each in (scenario, wide))
@@ -142,7 +142,7 @@ def test_a_run_does_not_depend_on_the_shape_of_the_arrays(make) -> None:
             np.testing.assert_allclose(one.entropy, other.entropy, rtol=1e-6)
         elif getattr(one, name) is not None:
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-    mine, theirs = (each.task.belief.grid.unpadded().probability for each in (state, padded))
+    mine, theirs = (each.task.belief.grid.unpad().probability for each in (state, padded))
     np.testing.assert_array_equal(mine, theirs)
 
 
@@ -153,7 +153,7 @@ def test_senses_and_plans_at_the_rates_given(make) -> None:
     state, key = initial_loop_state(controller, scenario), jax.random.key(0)
     maps, guidances = [], []
     for _ in range(21):
-        state, _, _ = run_chunk((controller, scenario, key, ONE), copied(state), CHUNK)
+        state, _, _ = run_chunk((controller, scenario, key, ONE), copy_tree(state), CHUNK)
         belief: Belief = state.task.belief
         maps.append(np.asarray(belief.grid.probability))
         guidances.append(np.asarray(belief.guidance.values))
@@ -362,7 +362,7 @@ def test_the_prior_is_what_is_known_at_first() -> None:
     prior = np.random.default_rng(0).uniform(0.0, 1.0, HALL.shape).astype(np.float32)
     scenario = hall(prior, HALL)
     state = initial_loop_state(AHEAD, scenario)
-    belief = np.asarray(state.task.belief.grid.unpadded().probability)
+    belief = np.asarray(state.task.belief.grid.unpad().probability)
     rows, columns = np.mgrid[:30, :40]
     away = np.hypot(columns * 0.1 + 0.05 - 0.6, rows * 0.1 + 0.05 - 1.5)
     np.testing.assert_array_equal(belief[away > 0.45], prior[away > 0.45])
@@ -393,13 +393,13 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
     # It passes by its goal.
     scenario = hall(HALL, world, goal=(1.55, 2.45), goal_radius=0.1)
     state, key = initial_loop_state(AHEAD, scenario), jax.random.key(0)
-    known = np.asarray(state.task.belief.grid.unpadded().probability)
+    known = np.asarray(state.task.belief.grid.unpad().probability)
     np.testing.assert_allclose(known, HALL, rtol=1e-6)
     collisions = 0
     for _ in range(80):
         reach = float(state.task.robot[0]) + 1.0
-        state, records, _ = run_chunk((AHEAD, scenario, key, ONE), copied(state), HALL_CHUNK)
-        known = np.asarray(state.task.belief.grid.unpadded().probability)
+        state, records, _ = run_chunk((AHEAD, scenario, key, ONE), copy_tree(state), HALL_CHUNK)
+        known = np.asarray(state.task.belief.grid.unpad().probability)
         assert reach > 2.8 or (known[:, 28:30] == HALL[:, 28:30]).all()
         assert float(state.task.robot[0]) <= 2.8 - 0.2 + 1e-4
         collisions += int(records.is_collision[0])

@@ -126,7 +126,7 @@ def test_rewards_add_up_to_the_entropy_that_was_lost(controls, scenario, wander)
     for action in wander:
         state, outcome = advance(environment, state, action)
         rewards.append(float(outcome.reward))
-    p = np.clip(np.asarray(state.belief.grid.unpadded().probability, np.float64), 1e-12, 1 - 1e-12)
+    p = np.clip(np.asarray(state.belief.grid.unpad().probability, np.float64), 1e-12, 1 - 1e-12)
     cells = np.asarray(scenario.reachable)
     entropy = -(p * np.log(p) + (1 - p) * np.log(1 - p))[cells].sum()
     np.testing.assert_allclose(outcome.facts["entropy"], entropy, rtol=1e-4)
@@ -174,7 +174,7 @@ def test_the_observation_is_of_where_the_robot_is(controls, scenario, wander) ->
     exact = Lidar(72, 1.5, range_noise=0.0)
     true = eqx.filter_jit(exact.scan)(scenario.world, jnp.asarray(pose), key=KEY).ranges
     np.testing.assert_allclose(seen["scan"], true, atol=0.06)
-    np.testing.assert_array_equal(seen["belief"], state.belief.grid.unpadded().probability)
+    np.testing.assert_array_equal(seen["belief"], state.belief.grid.unpad().probability)
 
 
 def test_a_view_is_the_belief_around_the_robot(make, controls) -> None:

@@ -14,7 +14,7 @@ from tests.kinds import FORWARD, HALL, NO_WALLS, Script, Yard, hall
 from jaxplore import ExplorationScenario, Faults, Lidar
 from jaxplore.control.base import Controller
 from jaxplore.report.exploration.data import ExplorationRecord
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 from jaxplore.simulation.state import LoopState
 
@@ -41,7 +41,7 @@ class Run(NamedTuple):
 
     @property
     def maps(self) -> np.ndarray:
-        return np.stack([state.task.belief.grid.unpadded().probability for state in self.states])
+        return np.stack([state.task.belief.grid.unpad().probability for state in self.states])
 
 
 def make(faults: Faults | None = NO_WALLS, x: float = 0.6, **more) -> ExplorationScenario:
@@ -65,7 +65,7 @@ def run(
     state, key = initial_loop_state(controller, scenario), jax.random.key(seed)
     states, rows, one = [jax.tree.map(np.asarray, state)], [], jnp.asarray(1, jnp.int32)
     for _ in range(60):
-        state, records, _ = run_chunk((controller, scenario, key, one), copied(state), capacity)
+        state, records, _ = run_chunk((controller, scenario, key, one), copy_tree(state), capacity)
         states.append(jax.tree.map(np.asarray, state))
         rows.append(jax.tree.map(lambda leaf: np.asarray(leaf)[0], records))
     told = states[-1].controller[1] if isinstance(controller, Script) else np.zeros(0)
@@ -201,7 +201,7 @@ def late():
     controller, key = Script(jnp.asarray(commands)), jax.random.key(0)
     begin = initial_loop_state(controller, yard)
     count = jnp.asarray(60, jnp.int32)
-    state, (robots, told), _ = run_chunk((controller, yard, key, count), copied(begin), 60)
+    state, (robots, told), _ = run_chunk((controller, yard, key, count), copy_tree(begin), 60)
     return commands, begin, state, np.asarray(robots), np.asarray(told)
 
 

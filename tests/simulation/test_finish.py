@@ -14,12 +14,12 @@ from jaxplore.report.exploration.data import MapProgress
 from jaxplore.robot.knowledge import Knowledge
 from jaxplore.simulation.exploration.finish import (
     TARGETS,
-    chosen_target,
+    choose_target,
     is_finished,
 )
 
 NOTHING, HALF = jnp.zeros(()), jnp.asarray(0.5)
-after = eqx.filter_jit(lambda known, belief: known.after(belief, jnp.ones(2), HALF))
+after = eqx.filter_jit(lambda known, belief: known.update(belief, jnp.ones(2), HALF))
 counted = eqx.filter_jit(lambda grid: Knowledge.nothing().count_walls(grid))
 
 
@@ -88,7 +88,7 @@ def test_each_target_has_an_end_of_its_own() -> None:
 
 def test_the_target_follows_from_what_is_given() -> None:
     def chosen(target=None, *, has_coverage=True, is_patrol=False):
-        return chosen_target(target, has_coverage=has_coverage, is_patrol=is_patrol)
+        return choose_target(target, has_coverage=has_coverage, is_patrol=is_patrol)
 
     assert chosen() == chosen(is_patrol=True) == "coverage"
     assert chosen(has_coverage=False) == "information"

@@ -16,7 +16,7 @@ from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.base import Controller
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
 
@@ -61,11 +61,13 @@ def fly(
     unknown, rows = float(state.task.progress.unknown), []
     for begun in range(0, STEPS, CHUNK):
         steps = jnp.asarray(min(CHUNK, STEPS - begun))
-        state, records, done = run_chunk((controller, scenario, key, steps), copied(state), CHUNK)
+        state, records, done = run_chunk(
+            (controller, scenario, key, steps), copy_tree(state), CHUNK
+        )
         rows.append(jax.tree.map(lambda leaf, n=int(done): np.asarray(leaf)[:n], records))
     records = jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
     positions = np.concatenate([np.asarray(scenario.start)[None], records.state])[:, :2]
-    belief = np.asarray(state.task.belief.grid.unpadded().probability)
+    belief = np.asarray(state.task.belief.grid.unpad().probability)
     return Flight(records, positions, belief, unknown)
 
 

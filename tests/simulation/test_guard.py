@@ -23,7 +23,7 @@ from jaxplore import (
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.guard import BLIND, FROZEN, GOOD, LOST, MISFIT, REASONS
 from jaxplore.control.plausibility import MAX_AGE
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
 
@@ -98,8 +98,8 @@ def scenario(
         control_rate=20.0,
         sensing_rate=10.0,
         field_rate=5.0,
-    ).varied(Variation(control_delay=(0, 4)) if variation is None else variation)
-    return made.guarded(MotionGuard())
+    ).with_variation(Variation(control_delay=(0, 4)) if variation is None else variation)
+    return made.with_guard(MotionGuard())
 
 
 def drive(
@@ -110,7 +110,7 @@ def drive(
     state = eqx.tree_at(lambda at: at.drawn.control_delay, state, jnp.asarray(delay, jnp.int32))
     first = np.asarray(state.task.robot)[None]
     state, records, done = run_chunk(
-        (controller, task, key, jnp.asarray(STEPS, jnp.int32)), copied(state), STEPS
+        (controller, task, key, jnp.asarray(STEPS, jnp.int32)), copy_tree(state), STEPS
     )
     records = jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], records)
     told = np.asarray(state.controller[1])
@@ -178,14 +178,14 @@ def blind_guard() -> MotionGuard:
 
 
 def test_without_a_guard_it_runs_into_the_wall() -> None:
-    task = scenario(Faults(frozen_odometry=(1.5, 10.0), **NO_WALLS)).guarded(blind_guard())
+    task = scenario(Faults(frozen_odometry=(1.5, 10.0), **NO_WALLS)).with_guard(blind_guard())
     found = drive(task)
     assert not (found.records.stop == FROZEN).any()
     assert found.records.is_collision.any()
 
 
 def test_a_controller_that_does_not_brake_is_kept_from_the_wall() -> None:
-    free = drive(scenario().guarded(blind_guard()), brake_at=100.0)
+    free = drive(scenario().with_guard(blind_guard()), brake_at=100.0)
     assert free.records.is_collision.any()
     kept = drive(scenario(), brake_at=100.0)
     assert not kept.records.is_collision.any()
@@ -256,6 +256,6 @@ def test_nothing_compiles_again() -> None:
     drive(scenario())
     before = run_chunk._cached._cache_size()
     drive(scenario(Faults(lost_odometry=(0.1, 0.2), **NO_WALLS)), seed=7, delay=1)
-    task = scenario().guarded(MotionGuard(max_frozen=0.2))
+    task = scenario().with_guard(MotionGuard(max_frozen=0.2))
     drive(task)
     assert run_chunk._cached._cache_size() == before

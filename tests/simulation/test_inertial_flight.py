@@ -9,7 +9,7 @@ import pytest
 import jaxplore as jx
 from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation import InertialOdometry, Localiser, ParticleFilter, ParticleLocaliser
-from jaxplore.robot.localisation import Localisation, corrected_state
+from jaxplore.robot.localisation import Localisation, correct_state
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import simulate
@@ -47,7 +47,7 @@ SCENARIO = ExplorationScenario(
     perception=jx.Perception(LIDAR, 0.1, 0.3, num_directions=16),
     target_coverage=0.97,
     localisation=Localisation(localiser=Localiser(IMU, capacity=300)),
-).guarded(jx.MotionGuard())
+).with_guard(jx.MotionGuard())
 CONTROLLER = jx.explorer(ROBOT, horizon=30, num_samples=128)
 
 
@@ -92,14 +92,14 @@ def test_it_observes_the_velocity_that_it_knows() -> None:
         own=task.own._replace(place=place), odometer=odometer._replace(errors=velocity)
     )
     state = task.robot.at[3:6].set(jnp.array([1.0, 0.2, -0.3]))
-    found = np.asarray(SCENARIO.measured(task._replace(robot=state)), float)
+    found = np.asarray(SCENARIO.measure_state(task._replace(robot=state)), float)
     np.testing.assert_allclose(ROBOT.pose(jnp.asarray(found, jnp.float32)), estimate, atol=1e-5)
     turned = np.exp(1j * (1.1 - 0.4)) * (1.0 + 0.2j) + np.exp(1.1j) * (0.2 + 0.2j)
     np.testing.assert_allclose(found[3] + 1j * found[4], turned, atol=1e-5)
     assert found[5] == pytest.approx(-0.3)
     # A closed loop turns the velocity with the pose.
     before, after = jnp.array([0.0, 0.0, 0.2]), jnp.array([1.0, 1.0, -0.3])
-    moved = np.asarray(corrected_state(ROBOT, state, before, after), float)
+    moved = np.asarray(correct_state(ROBOT, state, before, after), float)
     np.testing.assert_allclose(moved[3] + 1j * moved[4], np.exp(-0.5j) * (1.0 + 0.2j), atol=1e-5)
     np.testing.assert_allclose(
         between(after, ROBOT.pose(jnp.asarray(moved, jnp.float32))),
@@ -132,12 +132,10 @@ def flown(estimator, key: jax.Array):
         before, after, index = given
         moving, seeing = jax.random.split(jax.random.fold_in(key, index))
         motion, errors = IMU.measure(between(before, after), jnp.asarray(0.05), errors, moving)
-        known = estimator.predicted(known, motion, jnp.asarray(0.05))
+        known = estimator.predict(known, motion, jnp.asarray(0.05))
         known = jax.lax.cond(
             index % 4 == 3,
-            lambda each: estimator.corrected(
-                each, (LIDAR.scan(WORLD, after, key=seeing),), (LIDAR,)
-            ),
+            lambda each: estimator.correct(each, (LIDAR.scan(WORLD, after, key=seeing),), (LIDAR,)),
             lambda each: each,
             known,
         )

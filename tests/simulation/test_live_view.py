@@ -235,7 +235,7 @@ def test_a_page_pauses_steps_and_stops_the_run(experiment) -> None:
     page = Page(view.link)
     try:
         done = run(experiment, view)
-        assert view.asked_seed() is None
+        assert view.seed_request() is None
         assert view.wait_for_restart() is None
     finally:
         page.close()
@@ -256,10 +256,10 @@ def test_a_page_starts_the_run_again_with_another_seed(experiment) -> None:
     page = Page(view.link)
     try:
         run(experiment, view)
-        assert view.asked_seed() == 7
+        assert view.seed_request() == 7
         assert view.wait_for_restart() == 7
         again = run(experiment, view, steps=20)
-        assert view.asked_seed() is None
+        assert view.seed_request() is None
     finally:
         page.close()
         view.close()

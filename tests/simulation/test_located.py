@@ -10,8 +10,8 @@ import jaxplore as jx
 from jaxplore.control.base import Info
 from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation import Localiser, LoopCloser, Odometry
-from jaxplore.localisation.thinning import SPARE, is_nearly_full, thinned
-from jaxplore.robot.localisation import Localisation, corrected_state
+from jaxplore.localisation.thinning import SPARE, is_nearly_full, thin_scans
+from jaxplore.robot.localisation import Localisation, correct_state
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import simulate
@@ -46,7 +46,7 @@ def scenario_with(localisation: Localisation | None) -> ExplorationScenario:
         perception=perception,
         target_coverage=0.99,
         localisation=localisation,
-    ).guarded(jx.MotionGuard())
+    ).with_guard(jx.MotionGuard())
 
 
 SCENARIO = scenario_with(
@@ -109,7 +109,7 @@ def test_the_robot_maps_where_it_takes_itself_to_be() -> None:
     task = loop.task
     estimate = jnp.array([2.3, 4.1, 0.9])
     task = with_known(task, task.own.place.known._replace(pose=estimate))
-    measured = SCENARIO.measured(task)
+    measured = SCENARIO.measure_state(task)
     np.testing.assert_allclose(ROBOT.pose(measured), estimate)
     guard = SCENARIO.guard.init(ROBOT, SCENARIO.start)
     nothing = jnp.array(False)
@@ -158,12 +158,12 @@ def test_a_closed_loop_moves_the_map_the_robot_and_what_its_guard_expects(run) -
     task = with_known(state.task, changed)
     bent_state = state._replace(
         task=task,
-        observed=corrected_state(ROBOT, state.observed, known.pose, shifted),
+        observed=correct_state(ROBOT, state.observed, known.pose, shifted),
         guard=state.guard._replace(
-            expected=corrected_state(ROBOT, state.guard.expected, known.pose, shifted)
+            expected=correct_state(ROBOT, state.guard.expected, known.pose, shifted)
         ),
     )
-    after = SCENARIO.revised(bent_state)
+    after = SCENARIO.update_on_host(bent_state)
     found = after.task.own.place.known
     assert np.abs(np.asarray(found.scans.poses - bent)[:number, :2]).max() > 0.1
     # The loops fit again: the errors along the way are those of before.
@@ -189,7 +189,7 @@ def test_half_of_the_scans_can_be_left_out(run) -> None:
     assert is_nearly_full(
         known._replace(scans=known.scans._replace(number=jnp.asarray(CAPACITY - 3, jnp.int32)))
     )
-    fewer = thinned(known)
+    fewer = thin_scans(known)
     left = int(fewer.scans.number)
     assert left == (number + 1) // 2
     np.testing.assert_array_equal(fewer.scans.poses[:left], known.scans.poses[:number:2])
@@ -211,7 +211,7 @@ def test_half_of_the_scans_can_be_left_out(run) -> None:
     # Where a loop was measured without error, so is that of the scans that are left.
     loops = int(known.closures.number)
     exact = jax.vmap(lambda pair: between(*known.scans.poses[pair]))(known.closures.pairs)
-    fewer = thinned(known._replace(closures=known.closures._replace(motions=exact)))
+    fewer = thin_scans(known._replace(closures=known.closures._replace(motions=exact)))
     expected = jax.vmap(lambda pair: between(*fewer.scans.poses[pair]))(fewer.closures.pairs)
     np.testing.assert_allclose(fewer.closures.motions[:loops], expected[:loops], atol=1e-5)
 

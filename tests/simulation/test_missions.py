@@ -29,9 +29,9 @@ from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
 from jaxplore.report.drawing.colours import TARGET
-from jaxplore.simulation.exploration.wheels import TIPPING_TIME, TRACTION, Wheels, driven
+from jaxplore.simulation.exploration.wheels import TIPPING_TIME, TRACTION, Wheels, drive_on_wheels
 from jaxplore.simulation.loop import (
-    copied,
+    copy_tree,
     initial_loop_state,
     run_chunk,
 )
@@ -144,7 +144,7 @@ def begin(
 
 def advance(controller, given: ExplorationScenario, state: LoopState, steps: int, seed: int = 0):
     key, count = jax.random.key(seed), jnp.asarray(steps, jnp.int32)
-    state, rows, done = run_chunk((controller, given, key, count), copied(state), CAPACITY)
+    state, rows, done = run_chunk((controller, given, key, count), copy_tree(state), CAPACITY)
     return state, jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], rows)
 
 
@@ -247,7 +247,7 @@ def test_idleness_is_the_time_since_the_first_sensor_saw_each_cell(search) -> No
         assert outcome.records.worst_idleness[step] == pytest.approx(idle.max(), abs=1e-3)
     assert 0.0 < idle.mean() < idle.max()
     belief = outcome.state.task.belief
-    np.testing.assert_allclose(belief.grid.cropped(belief.idleness), time - last, atol=1e-3)
+    np.testing.assert_allclose(belief.grid.crop(belief.idleness), time - last, atol=1e-3)
 
 
 # What moves
@@ -320,14 +320,14 @@ def test_out_of_sight_tracks_go_on_and_grow_older(watched) -> None:
 
 
 def test_what_moves_leaves_no_ghosts_in_the_map(watched) -> None:
-    grid = watched.state.task.belief.grid.unpadded()
+    grid = watched.state.task.belief.grid.unpad()
     is_free = hall() < 0.25
     assert not (np.asarray(grid.is_occupied) & is_free).any()
     # What it passed in sight of the robot is known to be free by now.
     assert np.asarray(grid.is_free)[23, 13:27].all()
     # And the wall, seen across its way, is known.
     outline = scenario(start=(4.0, 3.7, math.pi / 2), mover=PARKED)
-    still = drive(outline, 199).state.task.belief.grid.unpadded()
+    still = drive(outline, 199).state.task.belief.grid.unpad()
     assert (np.asarray(still.is_occupied) & ~is_free).sum() > 0
     np.testing.assert_array_equal(grid.is_occupied & ~is_free, still.is_occupied & ~is_free)
 
@@ -425,7 +425,7 @@ def test_it_lies_where_it_tipped_over() -> None:
     lying = state.task._replace(wheels=tipped, robot=moving)
     assert not bool(given.is_unfinished(lying))
     command = jnp.asarray([1.0, 2.0])
-    after = driven(
+    after = drive_on_wheels(
         tipped, given.robot, moving, given.robot.step(moving, command, given.control_period)
     )
     np.testing.assert_allclose(after[:4], [3.0, 3.0, 0.0, 0.0], atol=1e-6)

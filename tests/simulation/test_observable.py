@@ -9,7 +9,7 @@ from jaxplore.information.voxel_table import band
 from jaxplore.simulation.volume.observable import (
     ELEVATIONS,
     SECTORS,
-    fitting_places,
+    find_fitting_places,
     observable,
     room_around,
 )
@@ -100,10 +100,10 @@ def test_a_ball_fits_where_it_touches_nothing() -> None:
     assert room[5, 5, 7] == pytest.approx(4.5)
     start = np.array([5.5, 5.5, 5.5])
     # A ball of 1.4 voxels fits through the hole of three, one of 2 does not.
-    small, large = (fitting_places(solid, start, radius) for radius in (1.4, 2.0))
+    small, large = (find_fitting_places(solid, start, radius) for radius in (1.4, 2.0))
     assert small[5, 5, 22]
     assert large[5, 5, 7]
     assert not large[:, :, 15:].any()
     # A start that fits no centre is the only place.
-    alone = fitting_places(np.ones((5, 5, 5), bool), np.array([2.5, 2.5, 2.5]), 1.0)
+    alone = find_fitting_places(np.ones((5, 5, 5), bool), np.array([2.5, 2.5, 2.5]), 1.0)
     assert alone.sum() == 1

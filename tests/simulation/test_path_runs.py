@@ -11,7 +11,7 @@ from tests.kinds import AROUND, CAR, KEEP, NO_FAULTS, OTHER, RING, SHARED, TRAFF
 
 import jaxplore as jx
 from jaxplore.costs.base import WeightedCost
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 from jaxplore.simulation.state import Moment
 
@@ -129,7 +129,7 @@ def test_a_path_far_away_is_followed_by_the_same_steps_and_recorded_where_it_is(
 def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
     controller = PASSING.controller.at_period(0.02)
     key, one = jax.random.key(0), jnp.asarray(1, jnp.int32)
-    run_chunk((controller, lap[1], key, one), copied(initial_loop_state(controller, lap[1])), 25)
+    run_chunk((controller, lap[1], key, one), copy_tree(initial_loop_state(controller, lap[1])), 25)
     before = run_chunk._cached._cache_size()
     moved = jx.PathScenario(
         PASSING.model,
@@ -142,7 +142,7 @@ def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
     )
     costs = 7.0 * jx.ComfortCost(), 50.0 * jx.MovingObstacleCost(clearance=0.6, **KEEP)
     heavier = mpcc(other=costs[0] + costs[1], contouring_weight=3.0).controller
-    run_chunk((heavier, moved, key, one), copied(initial_loop_state(heavier, moved)), 25)
+    run_chunk((heavier, moved, key, one), copy_tree(initial_loop_state(heavier, moved)), 25)
     assert run_chunk._cached._cache_size() == before
 
 
@@ -157,7 +157,7 @@ def test_traffic_moves_as_its_velocities_and_turn_rates_say() -> None:
         now.velocities, (after.centres - before.centres) / (2 * h), atol=2e-3
     )
     for ahead in (0.5, 3.0):
-        predicted, there = now.predicted(jnp.asarray(ahead)), at(jnp.asarray(1.5 + ahead))
+        predicted, there = now.predict(jnp.asarray(ahead)), at(jnp.asarray(1.5 + ahead))
         np.testing.assert_allclose(predicted.corners, there.outlines.corners, atol=2e-3)
 
 
@@ -312,7 +312,7 @@ def test_without_measurements_obstacles_are_predicted(lap) -> None:
         obstacles = jax.lax.scan(look, state, jnp.arange(15))[1]
         last, later = (jax.tree.map(operator.itemgetter(k), obstacles) for k in (4, 14))
         now = jnp.zeros(())
-        predicted = last.predicted_centres(jnp.asarray(0.2))
+        predicted = last.predict_centres(jnp.asarray(0.2))
         return later.centres, predicted, later.deviation(now), last.deviation(now)
 
     centres, expected, less, more = seen()

@@ -17,7 +17,7 @@ def summed(probability, reachable, corners, parts):
         counted = jax.lax.dynamic_slice(reachable, corner, part.shape)
         now = jax.lax.dynamic_update_slice(now, part, corner)
         both = (MapSums.of(each, counted) for each in (before, part))
-        return (sums.changed(*both), now), None
+        return (sums.update(*both), now), None
 
     start = MapSums.of(probability, reachable), probability
     (sums, now), _ = jax.lax.scan(change, start, (corners, parts))

@@ -11,7 +11,7 @@ from jaxplore.belief import Recognition
 from jaxplore.control.base import Controller, Info
 from jaxplore.maps import LabelledObject
 from jaxplore.sensing import Detector
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
 
@@ -68,7 +68,7 @@ def search():
     state = initial_loop_state(controller, given, jax.random.key(0))
     count = jnp.asarray(STEPS, jnp.int32)
     state, rows, done = run_chunk(
-        (controller, given, jax.random.key(1), count), copied(state), STEPS
+        (controller, given, jax.random.key(1), count), copy_tree(state), STEPS
     )
     return given, state, jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], rows)
 

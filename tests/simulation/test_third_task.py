@@ -14,7 +14,7 @@ import pytest
 from PIL import Image, ImageDraw
 
 import jaxplore as jx
-from jaxplore.report import Column, Curve, Metrics, Recording, sampled_series
+from jaxplore.report import Column, Curve, Metrics, Recording, thin_series
 from jaxplore.simulation.batch import record_runs
 from jaxplore.simulation.environment.action_modes import ControlMode
 from jaxplore.simulation.environment.environment import Environment
@@ -51,7 +51,7 @@ class BeaconRecording(Recording):
         visited = np.concatenate([[0], self.records.visited]).astype(float)
         done = self.time[visited == len(self.beacons)]
         common = self.common_metrics(finished_at=float(done[0]) if len(done) else None, seed=seed)
-        curve = sampled_series({"time": self.time, "visited": visited}, self.control_period)
+        curve = thin_series({"time": self.time, "visited": visited}, self.control_period)
         return BeaconMetrics(**common, visited=int(visited[-1]), curve=curve)
 
     def frame_image(self, frame, *, scale=1.0):

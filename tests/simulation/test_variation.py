@@ -10,7 +10,7 @@ from tests.kinds import Yard
 import jaxplore as jx
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.base import Controller, Info
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 from jaxplore.simulation.plant import ContinuousPlant, Plant, as_plant
 
 pytestmark = pytest.mark.long
@@ -56,7 +56,7 @@ def drive(controller: Controller, scenario: jx.Scenario, key: jax.Array):
     """Return the records of a run, and the state of the loop at its end."""
     state = initial_loop_state(controller, scenario, key)
     steps = jnp.asarray(STEPS, jnp.int32)
-    state, records, _ = run_chunk((controller, scenario, key, steps), copied(state), STEPS)
+    state, records, _ = run_chunk((controller, scenario, key, steps), copy_tree(state), STEPS)
     return records, state
 
 
@@ -119,7 +119,9 @@ def test_slip_and_gain_are_those_of_the_formula() -> None:
     # Everything but the motion is the model's.
     assert plant.state_names == ROBOT.state_names
     np.testing.assert_array_equal(plant.pose(state), ROBOT.pose(state))
-    np.testing.assert_array_equal(plant.blocked(state, state + 1), ROBOT.blocked(state, state + 1))
+    np.testing.assert_array_equal(
+        plant.resolve_collision(state, state + 1), ROBOT.resolve_collision(state, state + 1)
+    )
     still = plant.stopping_control(state, PERIOD)
     np.testing.assert_array_equal(still, ROBOT.stopping_control(state, PERIOD))
     assert type(as_plant(jx.PointMass(2), *[jnp.zeros(2)] * 2, *[jnp.zeros(())] * 2)) in (
@@ -159,7 +161,7 @@ def in_numpy(drawn) -> np.ndarray:
 
 
 def test_a_run_is_that_of_the_robot_that_was_drawn() -> None:
-    task, ends = YARD.varied(VARIED), set()
+    task, ends = YARD.with_variation(VARIED), set()
     for seed in range(4):
         key = jax.random.key(seed)
         (states, observed), loop = drive(HOLD, task, key)
@@ -170,19 +172,19 @@ def test_a_run_is_that_of_the_robot_that_was_drawn() -> None:
         ends.add(float(states[-1, 0]))
     assert len(ends) == 4
     before = run_chunk._cached._cache_size()
-    drive(HOLD, YARD.varied(VARIED), jax.random.key(9))
+    drive(HOLD, YARD.with_variation(VARIED), jax.random.key(9))
     assert run_chunk._cached._cache_size() == before
 
 
 def test_without_variation_a_run_is_as_it_was() -> None:
     (plain, _), loop = drive(HOLD, YARD, KEY)
     assert loop.drawn is None
-    (same, _), _ = drive(HOLD, YARD.varied(jx.Variation()), KEY)
+    (same, _), _ = drive(HOLD, YARD.with_variation(jx.Variation()), KEY)
     np.testing.assert_allclose(plain, same, atol=1e-6)
 
 
 def test_vmap_over_keys_has_a_robot_in_each_run() -> None:
-    task = YARD.varied(VARIED)
+    task = YARD.with_variation(VARIED)
     together, _ = jax.vmap(lambda key: drive(HOLD, task, key))(RUNS)
     for states, key in zip(together[0][:3], RUNS[:3], strict=True):
         np.testing.assert_allclose(states, in_numpy(VARIED.draw(key, ROBOT)), atol=2e-5)
@@ -197,9 +199,9 @@ def test_noise_is_that_of_the_commands_and_of_the_observations() -> None:
     )
     still = Hold(jnp.asarray([0.4, 0.0]), 5)
     robot = jx.DifferentialDrive(max_speed=10.0, drag=0.1)
-    (states, observed), _ = jax.vmap(lambda key: drive(still, Yard(robot).varied(variation), key))(
-        RUNS
-    )
+    (states, observed), _ = jax.vmap(
+        lambda key: drive(still, Yard(robot).with_variation(variation), key)
+    )(RUNS)
     turned = np.diff(states[..., 4], axis=1) / 0.05
     # The bound of alpha is 2, and a fifth of it is its noise.
     assert np.std(turned) == pytest.approx(0.4, rel=0.05)
@@ -215,7 +217,7 @@ def test_it_holds_for_path_following_and_commands_come_late_there_too() -> None:
     faults = jx.Faults(control_delay=3)
     path = jx.PathScenario(model, jx.race_track(seed=1), control_rate=20.0, faults=faults)
     hold = Hold(jnp.asarray([0.5, 0.0, 0.5]), path.robot.state_size)
-    records, _ = drive(hold, path.varied(jx.Variation(slip=(0.3, 0.3))), KEY)
+    records, _ = drive(hold, path.with_variation(jx.Variation(slip=(0.3, 0.3))), KEY)
     # Three commands are under way before the first one takes effect, which is no fault.
     np.testing.assert_array_equal(records.control[:3], np.zeros((3, 3)))
     np.testing.assert_array_equal(records.control[3:], np.tile(hold.command, (STEPS - 3, 1)))
@@ -245,7 +247,7 @@ def test_settings_describe_it_for_every_kind_of_task() -> None:
         np.testing.assert_allclose(variation.gain, [0.7, 1.0])
         np.testing.assert_allclose(variation.parameters["drag"], [0.0, 0.3])
     assert Yard(ROBOT, variation=VARIED).variation is VARIED
-    assert YARD.varied(VARIED).varied(None).variation is None
+    assert YARD.with_variation(VARIED).with_variation(None).variation is None
 
 
 @pytest.mark.parametrize(
@@ -278,4 +280,4 @@ def test_what_is_no_interval_is_refused(given, said) -> None:
 )
 def test_a_parameter_that_the_robot_does_not_have_is_refused(name, said) -> None:
     with pytest.raises(ValueError, match=rf"^{said}"):
-        YARD.varied(jx.Variation({name: (-1.0, 2.0)}))
+        YARD.with_variation(jx.Variation({name: (-1.0, 2.0)}))

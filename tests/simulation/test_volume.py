@@ -88,7 +88,7 @@ def test_its_folder_has_pictures_and_is_read_again(run, tmp_path: Path) -> None:
     assert frame.level.shape == (20, 40)
     assert frame.upright.shape == (12, 40)
     # The voxels of the last frame are those of the map at the end.
-    np.testing.assert_array_equal(frame.occupied((12, 20, 40)), run.recording.belief == 2)
+    np.testing.assert_array_equal(frame.find_occupied((12, 20, 40)), run.recording.belief == 2)
     assert frame.plan.shape == (21, 3)
     np.testing.assert_allclose(frame.plan[0], run.recording.positions[-1], atol=0.3)
 

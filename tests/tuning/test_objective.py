@@ -10,7 +10,7 @@ from jaxplore.control.risk import ConditionalValueAtRisk
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.study.tuning import Objective
-from jaxplore.study.tuning.objective import flat, is_late, known_metrics, with_late_times
+from jaxplore.study.tuning.objective import flat, is_late, list_metrics, with_late_times
 
 
 def test_a_sum_is_read_and_written() -> None:
@@ -51,17 +51,17 @@ def test_a_sign_needs_no_space_on_either_side() -> None:
 def test_unknown_metrics_are_named_with_near_ones() -> None:
     with pytest.raises(ValueError, match=r"metric colisions is not known; .*collisions"):
         Objective.parse("colisions").value({"collisions": 1.0, "coverage": 0.5})
-    known = known_metrics(ExplorationMetrics)
+    known = list_metrics(ExplorationMetrics)
     Objective.parse("time_to.90 + members.explorer.share + compute.step_ms_p50").check(known)
     with pytest.raises(ValueError, match=r"metric time_to.91 is not known; .*time_to.90"):
         Objective.parse("time_to.91").check(known)
     with pytest.raises(ValueError, match=r"metric coverage is not known"):
-        Objective.parse("coverage").check(known_metrics(PathMetrics))
+        Objective.parse("coverage").check(list_metrics(PathMetrics))
 
 
 @pytest.mark.parametrize("report", [ExplorationMetrics, PathMetrics])
 def test_every_number_of_a_report_is_known(report) -> None:
-    known = known_metrics(report)
+    known = list_metrics(report)
     fields = {each.name for each in dataclasses.fields(report)}
     assert {name.split(".")[0] for name in known} <= fields
     left_out = fields - {name.split(".")[0] for name in known}

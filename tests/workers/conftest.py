@@ -49,7 +49,7 @@ TASKS = """
         def files(self):
             return {Path(self.folder).name: functools.partial(read, self.folder)}
 
-        def located(self, folders):
+        def relocate(self, folders):
             (folder,) = folders.values()
             return dataclasses.replace(self, folder=str(folder))
 
@@ -72,7 +72,7 @@ TASKS = """
                 "threads": os.environ.get("NPROC"),
             }
 
-        def failed(self, reason):
+        def make_failure(self, reason):
             return {"double": None, "reason": reason}
 
     def meeting(folder, name, *numbers):

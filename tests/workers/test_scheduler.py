@@ -32,7 +32,7 @@ class Named(Task):
     def run(self) -> str:
         return self.id
 
-    def failed(self, reason: str) -> str:
+    def make_failure(self, reason: str) -> str:
         return reason
 
 

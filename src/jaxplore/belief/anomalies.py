@@ -172,7 +172,7 @@ class AnomalyTest(eqx.Module):
         height, width = grid.sides
         cells = jnp.asarray(height * width, jnp.float32)
         nothing = jnp.zeros(grid.shape)
-        forbidden = self._forbidden(grid) if self.forbidden.shape[0] else None
+        forbidden = self._find_forbidden(grid) if self.forbidden.shape[0] else None
         tests = cells if forbidden is None else cells + jnp.sum(forbidden, dtype=jnp.float32)
         return Anomalies(
             known=grid.probability,
@@ -207,34 +207,34 @@ class AnomalyTest(eqx.Module):
             pose: pose (x, y, yaw) of the robot [m, m, rad].
             time: time since the start [s].
         """
-        gathered = self.gathered(state, sensor, grid, scan, pose)
+        gathered = self.add_evidence(state, sensor, grid, scan, pose)
         # Most scans raise no alarm, and nothing waits for a second look.
         is_quiet = ~state.reports.is_open.any() & ~gathered.has_alarm
         after: Anomalies = jax.lax.cond(
             is_quiet,
             lambda _, same: same,
-            lambda before, same: self._judged(before, same, grid, is_seen, pose, time),
+            lambda before, same: self._update_reports(before, same, grid, is_seen, pose, time),
             state,
             gathered,
         )
         return dataclasses.replace(after, time=time)
 
-    def gathered(
+    def add_evidence(
         self, state: Anomalies, sensor: Sensor, grid: OccupancyGrid, scan: Scan, pose: Pose
     ) -> Anomalies:
         """Return the state with the evidence of a scan, and the same reports; see `update`."""
         change, person = self.evidence(state, sensor, grid, scan, pose)
 
-        def summed(before: GridValues, more: GridValues) -> GridValues:
+        def accumulate(before: GridValues, more: GridValues) -> GridValues:
             grown = jnp.clip(before + more, 0.0, 2.0 * state.threshold)
             return jnp.where(state.is_settled, 0.0, grown)
 
         people = state.person
         if people is not None and person is not None:
-            people = summed(people, person)
-        return dataclasses.replace(state, change=summed(state.change, change), person=people)
+            people = accumulate(people, person)
+        return dataclasses.replace(state, change=accumulate(state.change, change), person=people)
 
-    def _judged(
+    def _update_reports(
         self,
         before: Anomalies,
         state: Anomalies,
@@ -267,16 +267,16 @@ class AnomalyTest(eqx.Module):
             alarms = around & (channel.evidence >= state.threshold)
             crossed |= alarms.any(axis=(1, 2)) & channel.owns(reports.kind)
         is_confirmed = is_looking & crossed
-        reports = reports.looked(is_looking & near, is_confirmed, time)
+        reports = reports.record_look(is_looking & near, is_confirmed, time)
         is_late = (reports.looks >= self.looks) | (time - reports.suspected >= self.expiry)
         is_dropped = reports.is_open & is_late
-        reports = reports.dropped(is_dropped)
+        reports = reports.drop(is_dropped)
         is_settled = state.is_settled | (around & is_confirmed[:, None, None]).any(axis=0)
         restart = is_settled | (around & is_dropped[:, None, None]).any(axis=0)
         is_closed = restart | (around & reports.is_open[:, None, None]).any(axis=0)
         for channel in channels:
             is_new, place, kind = channel.peak(state.threshold, is_closed, centres, self.radius)
-            opened = reports.opened(is_new, place, kind, time, pose)
+            opened = reports.open_suspicion(is_new, place, kind, time, pose)
             is_put = (opened.kind != reports.kind).any()
             reports = opened
             disc = is_put & (square_distance(centres, place) <= self.radius**2)
@@ -323,16 +323,16 @@ class AnomalyTest(eqx.Module):
         index = cells.cell[..., 0] * width + cells.cell[..., 1]
         index = jnp.where(grid.contains(cells.cell), index, height * width).reshape(-1)
 
-        def collected(ratios: Float[Array, "B N"]) -> GridValues:
+        def collect(ratios: Float[Array, "B N"]) -> GridValues:
             total = jnp.zeros(height * width).at[index].add(ratios.reshape(-1), mode="drop")
             return total.reshape(height, width)
 
         if state.forbidden is None:
-            return collected(found.change), None
-        person = jnp.where(state.forbidden, collected(found.person), 0.0)
-        return collected(found.change), person
+            return collect(found.change), None
+        person = jnp.where(state.forbidden, collect(found.person), 0.0)
+        return collect(found.change), person
 
-    def attended(
+    def add_attention(
         self, state: Anomalies, field: InformationField, grid: OccupancyGrid
     ) -> InformationField:
         """Return an information field that leads to the place of the oldest open suspicion.
@@ -367,7 +367,7 @@ class AnomalyTest(eqx.Module):
         )
         return result
 
-    def _forbidden(self, grid: OccupancyGrid) -> GridMask:
+    def _find_forbidden(self, grid: OccupancyGrid) -> GridMask:
         centres = cell_centres(grid)[..., None, :]
         low, high = self.forbidden[:, :2], self.forbidden[:, 2:]
         is_in = ((centres >= low) & (centres <= high)).all(axis=-1).any(axis=-1)

@@ -55,7 +55,7 @@ class Reports(NamedTuple):
         """Return the square of the distance from each place to the centre of each cell [m^2]."""
         return jax.vmap(square_distance, (None, 0))(centres, self.place)
 
-    def opened(
+    def open_suspicion(
         self, is_new: Flag, place: Position, kind: Array, time: Scalar, pose: Pose
     ) -> "Reports":
         """Return the list with one more suspicion if `is_new`; a full list stays unchanged."""
@@ -69,7 +69,7 @@ class Reports(NamedTuple):
             looks=jnp.where(is_put, 0, self.looks),
         )
 
-    def looked(
+    def record_look(
         self, is_sighted: Bool[Array, " K"], is_confirmed: Bool[Array, " K"], time: Scalar
     ) -> "Reports":
         """Return the list after a scan of the second look.
@@ -81,7 +81,7 @@ class Reports(NamedTuple):
             looks=self.looks + is_sighted.astype(jnp.int32),
         )
 
-    def dropped(self, is_dropped: Bool[Array, " K"]) -> "Reports":
+    def drop(self, is_dropped: Bool[Array, " K"]) -> "Reports":
         """Return the list without some of its rows (K,)."""
         return self._replace(
             kind=jnp.where(is_dropped, 0, self.kind),

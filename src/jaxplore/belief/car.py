@@ -20,13 +20,13 @@ from jaxplore.belief.roadmap import (
     Price,
     block_maximum,
     clear_corners,
-    doubled_where_tight,
+    double_where_tight,
     fit,
     narrowest,
 )
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.footprint import Footprint
-from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, rounded_radius
+from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, round_radius
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 
@@ -85,7 +85,7 @@ class CarMotion(eqx.Module):
         Raises:
             ValueError: a turning radius that is too large for the distance.
         """
-        radius = rounded_radius(float(self.turning_radius), spacing)
+        radius = round_radius(float(self.turning_radius), spacing)
         # Whole metres, because the reach is static: similar cars share a compiled program.
         reach = math.ceil(float(np.abs(np.asarray(self.footprint.offsets)).max()))
         prices = (self.reversal_cost, self.reverse_penalty)
@@ -128,7 +128,7 @@ class CarLattice(Locomotion):
         clearance: ScalarField,
         required: Scalar,
         stride: int,
-        price: Price = doubled_where_tight,
+        price: Price = double_where_tight,
         factor: Float[Array, "H W"] | None = None,
     ) -> CarRoadmap:
         """Build the lattice of poses in which the car fits; see `Locomotion`."""

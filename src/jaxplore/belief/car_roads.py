@@ -16,7 +16,7 @@ from jaxplore.belief.car_motions import motion_table, rests
 from jaxplore.belief.car_paths import CHANNEL_LENGTH, DescentTree, DrivenPath, driven, with_channel
 from jaxplore.belief.guidance import LAYERS, GuidanceField, descent_field
 from jaxplore.belief.roadmap import Roadmap, nearest_open
-from jaxplore.belief.tiles import Part, Tiling, relaxed
+from jaxplore.belief.tiles import Part, Tiling, relax_costs
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
 from jaxplore.maps.field import gather, stencil
 
@@ -110,7 +110,7 @@ class CarRoadmap(Roadmap):
         slowness = penalties[:, None, None] * by_motion(self.slowness_at, jnp.inf)
         half = jnp.where(is_closed, jnp.inf, 0.5 * slowness)
         prices = self._prices(is_closed, half)
-        value = relaxed(
+        value = relax_costs(
             jnp.where(is_closed, jnp.inf, by_motion(source, jnp.inf)),
             [Part(prices, jnp.inf, 0)],
             functools.partial(_relax, self.radius, margin),

@@ -44,7 +44,7 @@ def coarse_shape(shape: Sequence[int], pool: int) -> tuple[int, int, int]:
     return depth, height, width
 
 
-def aligned_window(
+def align_window(
     corner: Int[Array, "3"], shape: Sequence[int], map_shape: tuple[int, int, int], pool: int
 ) -> Window:
     """Return a window that begins with a whole coarser voxel, also where it is moved inwards.
@@ -60,7 +60,7 @@ def aligned_window(
     return Window.at(corner // pool * pool, sizes, map_shape)
 
 
-def renewed(
+def update_coarse(
     coarse: Shaped[Array, "D2 H2 W2"],
     new: Shaped[Array, "d2 h2 w2"],
     window: Window,
@@ -68,7 +68,7 @@ def renewed(
 ) -> tuple[Shaped[Array, "D2 H2 W2"], Bool[Array, "d2 h2 w2"], Window]:
     """Return coarser voxels with new ones in a window, which of these changed, and their window.
 
-    The argument `window` is one of `aligned_window`, in voxels. `pool` voxels are on a side of a
+    The argument `window` is one of `align_window`, in voxels. `pool` voxels are on a side of a
     coarser one; static.
     """
     shape = coarse_shape(window.shape, pool)
@@ -85,7 +85,7 @@ def renewed(
     return target.write(coarse, new), new != old, target
 
 
-def within_reach(
+def find_stale_columns(
     changed: Bool[Array, "H2 W2"], reach: int, first: int, stride: int, shape: tuple[int, int]
 ) -> Bool[Array, "H W"]:
     """Return which columns of nodes have a changed column of coarser voxels within their reach.

@@ -21,7 +21,7 @@ def corner_of(step: tuple[int, int]) -> tuple[int, int]:
     return min(step[0], 0), min(step[1], 0)
 
 
-def stepped(
+def find_predecessors(
     mask: Bool[Array, "H W"], step: tuple[int, int], corners: Bool[Array, "H W"]
 ) -> Bool[Array, "H W"]:
     """Return the nodes from which a step leads to a node of a mask.
@@ -84,14 +84,14 @@ def _saddles(value: Float[Array, "H W"], corners: Bool[Array, "H W"] | None) -> 
     height, width = value.shape
     padded = jnp.pad(value, 1, constant_values=jnp.inf)
 
-    def shifted(down: int, right: int) -> Array:
+    def shift(down: int, right: int) -> Array:
         return padded[1 + down : 1 + down + height, 1 + right : 1 + right + width]
 
     least = jnp.full_like(value, jnp.inf)
     for down in (-1, 1):
         for right in (-1, 1):
-            mean = 0.5 * (shifted(down, 0) + shifted(0, right))
-            is_between = jnp.isinf(value) & jnp.isinf(shifted(down, right))
+            mean = 0.5 * (shift(down, 0) + shift(0, right))
+            is_between = jnp.isinf(value) & jnp.isinf(shift(down, right))
             if corners is not None:
                 is_between &= neighbour(corners, corner_of((down, right)))
             least = jnp.minimum(least, jnp.where(is_between, mean, jnp.inf))
@@ -110,7 +110,7 @@ def descent(
     """
     height, width = value.shape
 
-    def shifted(padded: Array, down: int, right: int) -> Array:
+    def shift(padded: Array, down: int, right: int) -> Array:
         return padded[..., 1 + down : 1 + down + height, 1 + right : 1 + right + width]
 
     around = jnp.pad(value, 1, constant_values=jnp.inf)
@@ -118,7 +118,7 @@ def descent(
     for down, right in NEIGHBOURS:
         length = (down * down + right * right) ** 0.5
         # Differences with closed neighbours are infinite or NaN, and count as no slope.
-        fall = value - shifted(around, down, right)
+        fall = value - shift(around, down, right)
         fall = jnp.where(jnp.isfinite(fall), jnp.maximum(fall, 0.0), 0.0) / length
         if corners is not None and down and right:
             # A node on the other side of a wall may be lower.
@@ -135,8 +135,8 @@ def descent(
         current, is_known = carry
         vectors = jnp.pad(current, ((0, 0), (1, 1), (1, 1)))
         known = jnp.pad(is_known, 1)
-        total = functools.reduce(jnp.add, [shifted(vectors, *step) for step in NEIGHBOURS])
-        near = functools.reduce(jnp.logical_or, [shifted(known, *step) for step in NEIGHBOURS])
+        total = functools.reduce(jnp.add, [shift(vectors, *step) for step in NEIGHBOURS])
+        near = functools.reduce(jnp.logical_or, [shift(known, *step) for step in NEIGHBOURS])
         return jnp.where(is_known, current, normalise(total)), is_known | near
 
     start = normalise(vector), jnp.isfinite(value)

@@ -63,9 +63,9 @@ class BeliefFields(eqx.Module):
         Raises:
             ValueError: an argument of another kind or shape.
         """
-        return self.guided(self.informed(belief), pose, elapsed)
+        return self.update_guidance(self.update_information(belief), pose, elapsed)
 
-    def informed(self, belief: Belief) -> Belief:
+    def update_information(self, belief: Belief) -> Belief:
         """Return the belief with the information field of its map; see `update_fields`.
 
         Places that looks take away are given up if nothing new was seen for `memory`, where the
@@ -88,7 +88,7 @@ class BeliefFields(eqx.Module):
             dwell = jnp.where(belief.gain.since >= self.memory, left, dwell)
         return dataclasses.replace(belief, information=information, dwell=dwell)
 
-    def guided(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
+    def update_guidance(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Return the belief with the fields that follow from its information; see `update_fields`.
 
         Args:
@@ -101,25 +101,25 @@ class BeliefFields(eqx.Module):
         """
         _kinds.instance("belief", belief, Belief)
         pose = _checks.pose("pose", pose)
-        _checks.shaped("elapsed", elapsed, ())
+        _checks.of_shape("elapsed", elapsed, ())
         information = belief.information
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         if belief.gain is not None:
             known = 1.0 - unknown_fraction(belief.grid)
-            belief = dataclasses.replace(belief, gain=belief.gain.after(known, elapsed))
-        return self._derived(belief, information, dwell, pose)
+            belief = dataclasses.replace(belief, gain=belief.gain.update(known, elapsed))
+        return self._derive_fields(belief, information, dwell, pose)
 
-    def _derived(
+    def _derive_fields(
         self, belief: Belief, information: InformationField, dwell: GridValues, pose: Pose
     ) -> Belief:
         """Return the belief with the fields that follow from its map and the information."""
         if self.anomalies is not None and belief.anomalies is not None:
-            information = self.anomalies.attended(belief.anomalies, information, belief.grid)
+            information = self.anomalies.add_attention(belief.anomalies, information, belief.grid)
         if self.recognition is not None and belief.objects is not None:
-            information = self.recognition.informed(
+            information = self.recognition.add_information(
                 belief.objects, information, belief.grid, self.sensors[0].max_range
             )
-        guidance, is_explored = self._guided(
+        guidance, is_explored = self._make_guidance(
             belief.grid,
             belief.clearance,
             information,
@@ -181,7 +181,7 @@ class BeliefFields(eqx.Module):
             heading=heading,
         ).from_pose(pose)
 
-    def _guided(
+    def _make_guidance(
         self,
         grid: OccupancyGrid,
         clearance: ScalarField,

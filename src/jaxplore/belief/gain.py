@@ -21,7 +21,7 @@ class Gain(NamedTuple):
     share: Scalar
     since: Scalar
 
-    def after(self, share: Scalar, period: Scalar) -> "Gain":
+    def update(self, share: Scalar, period: Scalar) -> "Gain":
         """Return the last progress one period [s] later, with the share of that time."""
         is_more: Flag = share >= self.share + LEAST_GAIN
         return Gain(

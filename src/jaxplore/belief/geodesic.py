@@ -8,7 +8,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore.belief.descent import NEIGHBOURS, corner_of, neighbour
-from jaxplore.belief.tiles import Part, relaxed
+from jaxplore.belief.tiles import Part, relax_costs
 
 DIAGONAL = 2.0**0.5
 """Length of a step to a diagonal neighbour [node spacings]."""
@@ -34,7 +34,7 @@ def geodesic(
     parts = [Part(half, jnp.inf, 1)]
     if corners is not None:
         parts.append(Part(jnp.where(corners, 0.0, jnp.inf), jnp.inf, 1))
-    return relaxed(start, parts, _relax, 1)
+    return relax_costs(start, parts, _relax, 1)
 
 
 def narrow_passages(
@@ -88,17 +88,17 @@ def _relax(value: Array, half: Array, detour: Array | None = None) -> Array:
     """
     height, width = value.shape[0] - 2, value.shape[1] - 2
 
-    def shifted(values: Array, down: int, right: int) -> Array:
+    def shift(values: Array, down: int, right: int) -> Array:
         return values[1 + down : 1 + down + height, 1 + right : 1 + right + width]
 
-    own = shifted(half, 0, 0)
+    own = shift(half, 0, 0)
     # Take the minimum over straight and over diagonal neighbours before adding the node's own half,
     # which saves an addition per neighbour.
     leaving, leaving_diagonally = value + half, value + DIAGONAL * half
-    along = [shifted(leaving, *step) for step in NEIGHBOURS[:4]]
+    along = [shift(leaving, *step) for step in NEIGHBOURS[:4]]
     across = [
-        shifted(leaving_diagonally, *step)
-        + (0.0 if detour is None else shifted(detour, *corner_of(step)))
+        shift(leaving_diagonally, *step)
+        + (0.0 if detour is None else shift(detour, *corner_of(step)))
         for step in NEIGHBOURS[4:]
     ]
     return jnp.minimum(

@@ -72,7 +72,7 @@ class IdlenessMap(eqx.Module):
             return jnp.full(shape, NEVER)
         return jnp.full(shape, self.memory)
 
-    def seen(self, idleness: GridValues, is_seen: GridMask, elapsed: Scalar) -> GridValues:
+    def update(self, idleness: GridValues, is_seen: GridMask, elapsed: Scalar) -> GridValues:
         """Return the idleness (H, W) after a scan [s].
 
         Args:

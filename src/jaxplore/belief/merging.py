@@ -23,7 +23,7 @@ SAME = 5e-6
 """Difference of two probabilities that is no more than the rounding of sums of log-odds."""
 
 
-def own_change(model: InverseSensorModel, before: GridValues, now: GridValues) -> GridValues:
+def log_odds_change(model: InverseSensorModel, before: GridValues, now: GridValues) -> GridValues:
     """Return the change of the log-odds between two maps of one robot, given as probabilities.
 
     `before` is the map after the last merge, `now` that after scans of its own since then. The
@@ -32,7 +32,7 @@ def own_change(model: InverseSensorModel, before: GridValues, now: GridValues) -
     return jnp.where(now == before, 0.0, model.log_odds(now) - model.log_odds(before))
 
 
-def merged_map(
+def merge_maps(
     model: InverseSensorModel,
     prior: GridValues,
     contributions: Float[Array, "K H W"],

@@ -187,17 +187,17 @@ class Obstacles(eqx.Module):
         """Speeds of the centres (N,) [m/s]; 0 of those that are not known."""
         return self._if_known(jnp.hypot(*self.velocities.T), 0.0)
 
-    def predicted_centres(self, t: Scalar) -> Float[Array, "N 2"]:
+    def predict_centres(self, t: Scalar) -> Float[Array, "N 2"]:
         """Predict the centres `t` seconds from now (N, 2) [m]."""
         return self._if_known(self._centres_at(t), FAR)
 
-    def predicted(self, t: Scalar) -> Outlines:
+    def predict(self, t: Scalar) -> Outlines:
         """Predict the outlines `t` seconds from now."""
         corners = self._corners_at(t, self._centres_at(t))
         radii = self._if_known(self.outlines.radii, 0.0)
         return Outlines(self._if_known(corners, FAR), radii)
 
-    def predicted_covariance(self, t: Scalar) -> Float[Array, "N 2 2"]:
+    def predict_covariance(self, t: Scalar) -> Float[Array, "N 2 2"]:
         """Predict the covariance of the centres `t` seconds from now (N, 2, 2) [m^2]."""
         drift = (self.growth * self._time_at(t)) ** 2
         covariance = self.covariance + drift[:, None, None] * jnp.eye(2)
@@ -212,11 +212,11 @@ class Obstacles(eqx.Module):
 
         It is the greatest over all directions: the root of the greatest eigenvalue of C(t).
         """
-        covariance = self.predicted_covariance(t)
+        covariance = self.predict_covariance(t)
         a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
         return jnp.sqrt(0.5 * (a + c) + jnp.hypot(0.5 * (a - c), b))
 
-    def after(self, elapsed: Scalar) -> "Obstacles":
+    def advance(self, elapsed: Scalar) -> "Obstacles":
         """Advance the obstacles by `elapsed` seconds without a measurement.
 
         They move as predicted and their age grows by `elapsed`. Those that were seen by a tracker
@@ -225,14 +225,14 @@ class Obstacles(eqx.Module):
         centres, age = self._centres_at(elapsed), self._age + elapsed
         velocities = self.velocities
         if self.turn_rates is not None:
-            velocities = _turned(velocities, elapsed * self.turn_rates)
+            velocities = _rotate(velocities, elapsed * self.turn_rates)
         return dataclasses.replace(
             self,
             outlines=Outlines(self._corners_at(elapsed, centres), self.outlines.radii),
             centres=centres,
             velocities=velocities,
             age=age,
-            plans=None if self.plans is None else self.plans.after(elapsed),
+            plans=None if self.plans is None else self.plans.advance(elapsed),
             is_known=None if self.is_known is None else self.is_known & (age <= self.memory),
         )
 
@@ -260,7 +260,7 @@ class Obstacles(eqx.Module):
         measured = jnp.concatenate([measured_positions, measured_velocities], axis=-1)
         is_measured = is_seen & jnp.isfinite(measured).all(axis=-1)
         takes = is_measured[:, None]
-        later = self.after(elapsed)
+        later = self.advance(elapsed)
         centres = jnp.where(takes, measured_positions, later.centres)
         age = jnp.where(is_measured, 0.0, later._age)
         exactness = position_std * position_std * jnp.eye(2)
@@ -269,14 +269,14 @@ class Obstacles(eqx.Module):
             outlines=Outlines(self._corners_at(elapsed, centres), self.outlines.radii),
             centres=centres,
             velocities=jnp.where(takes, measured_velocities, later.velocities),
-            # As of the last measurement: `predicted_covariance` adds the growth since then.
+            # As of the last measurement: `predict_covariance` adds the growth since then.
             covariance=jnp.where(takes[:, None], exactness, self.covariance),
             age=age,
             is_known=(self._known | is_measured) & (age <= self.memory),
             plans=later.plans,
         )
 
-    def drawn(self, key: Key) -> "Obstacles":
+    def sample(self, key: Key) -> "Obstacles":
         """Sample one possible truth: positions, velocities and turn rates without uncertainty."""
         number = self.outlines.number
         first, second, third = jax.random.split(key, 3)
@@ -292,7 +292,7 @@ class Obstacles(eqx.Module):
             off = off + self.age[:, None] * faster
             if self.turn_rates is not None:
                 off = off + turn[:, None] * self._slope_at(jnp.zeros(()))
-                velocities = _turned(velocities, self.age * turn)
+                velocities = _rotate(velocities, self.age * turn)
         return dataclasses.replace(
             self,
             outlines=Outlines(self.outlines.corners + off[:, None], self.outlines.radii),
@@ -344,13 +344,13 @@ class Obstacles(eqx.Module):
         # rotated by w t / 2 from the present velocity.
         half = 0.5 * t * self.turn_rates
         chord = t * jnp.sinc(half / jnp.pi)
-        return self.centres + chord[:, None] * _turned(self.velocities, half)
+        return self.centres + chord[:, None] * _rotate(self.velocities, half)
 
     def _corners_at(self, t: Scalar, centres: Float[Array, "N 2"]) -> Float[Array, "N V 2"]:
         """Rotate the corners (N, V, 2) by the predicted turn and place them around centres [m]."""
         corners = self.outlines.corners - self.centres[:, None]
         if self.turn_rates is not None:
-            turn = jax.vmap(_turned, in_axes=(1, None), out_axes=1)
+            turn = jax.vmap(_rotate, in_axes=(1, None), out_axes=1)
             corners = turn(corners, t * self.turn_rates)
         return corners + centres[:, None]
 
@@ -366,13 +366,13 @@ class Obstacles(eqx.Module):
         swing = 0.5 * time * time * jnp.sinc(half / jnp.pi)
         along = half if self.age is None else half - self.age * rates
         ahead, beside = (
-            _turned(self.velocities, along),
-            _turned(self.velocities, along + 0.5 * jnp.pi),
+            _rotate(self.velocities, along),
+            _rotate(self.velocities, along + 0.5 * jnp.pi),
         )
         return stretch[:, None] * ahead + swing[:, None] * beside
 
 
-def _turned(vectors: Float[Array, "N 2"], angles: Float[Array, " N"]) -> Float[Array, "N 2"]:
+def _rotate(vectors: Float[Array, "N 2"], angles: Float[Array, " N"]) -> Float[Array, "N 2"]:
     cos, sin = jnp.cos(angles), jnp.sin(angles)
     x, y = vectors[:, 0], vectors[:, 1]
     return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)

@@ -12,7 +12,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._trees import with_field
 from jaxplore._types import ArrayLike, Pose, Vector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.car import CarMotion
@@ -22,16 +22,16 @@ from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception_checks import (
     as_scans,
     as_sensors,
-    checked_test,
+    check_test,
     narrow_clearance,
     safe_stride,
 )
 from jaxplore.belief.recognition import Recognition
 from jaxplore.belief.roadmap import ROOMY, TurnsOnTheSpot
-from jaxplore.belief.standing import freed_below
+from jaxplore.belief.standing import free_below
 from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.information.field_sensor import FieldSensor
-from jaxplore.maps.clearance import clearance_field, closed_cells, update_clearance
+from jaxplore.maps.clearance import clearance_field, find_closed_cells, update_clearance
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -165,7 +165,7 @@ class Perception(BeliefFields):
         _checks.whole_number("num_directions", num_directions, at_least=4, at_most=MOST_DIRECTIONS)
         spacing = _checks.number("node_spacing", node_spacing, above=0.0)
         margin = _checks.scalar("margin", margin, at_least=0.0)
-        self.required_clearance = computed(lambda _, *each: each[0] + each[1], radius, margin)
+        self.required_clearance = compute(lambda _, *each: each[0] + each[1], radius, margin)
         self.field_sensor = FieldSensor(
             self.sensors[0],
             resolution,
@@ -199,7 +199,7 @@ class Perception(BeliefFields):
         )
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
         self.ground, self.watch, self.recognition = ground, watch, recognition
-        self.anomalies = checked_test(anomalies, self.sensors[0], ground, watch)
+        self.anomalies = check_test(anomalies, self.sensors[0], ground, watch)
         self.unknown_factor = _checks.scalar("unknown_factor", unknown_factor, at_least=0.0)
         if is_goal_apart and goal is None:
             raise ValueError("goal is None; accepted: a position, for a goal apart")
@@ -233,14 +233,14 @@ class Perception(BeliefFields):
         """
         _kinds.instance("grid", grid, OccupancyGrid)
         pose = _checks.pose("pose", pose)
-        grid = self.standing(grid, pose)
+        grid = self.free_below_robot(grid, pose)
         clearance = self._clearance(grid)
         anomalies = None if self.anomalies is None else self.anomalies.init(grid)
         idleness = None if self.watch is None else self.watch.init(grid.shape)
         information = self._information(grid, idleness, None)
         dwell = jnp.zeros_like(information.total)
         nothing = jnp.zeros(())
-        guidance, is_explored = self._guided(grid, clearance, information, dwell, pose)
+        guidance, is_explored = self._make_guidance(grid, clearance, information, dwell, pose)
         tracks = None if self.tracker is None else self.tracker.init(clearance)
         return Belief(
             grid,
@@ -262,14 +262,14 @@ class Perception(BeliefFields):
             goal_heading=self.goal_heading,
         )
 
-    def standing(self, grid: OccupancyGrid, pose: Pose) -> OccupancyGrid:
+    def free_below_robot(self, grid: OccupancyGrid, pose: Pose) -> OccupancyGrid:
         """Return a map with the cells under the robot free.
 
         Args:
             grid: the map.
             pose: pose (x, y, yaw) of the robot [m, m, rad].
         """
-        return freed_below(grid, pose, self.required_clearance, self.sensor_model)
+        return free_below(grid, pose, self.required_clearance, self.sensor_model)
 
     def with_map(self, belief: Belief, grid: OccupancyGrid) -> Belief:
         """Return the belief with another map, and with the clearance of all of it.
@@ -288,7 +288,7 @@ class Perception(BeliefFields):
             tracks = tracks._replace(former=jnp.stack([clearance.values] * 2))
         return dataclasses.replace(belief, grid=grid, clearance=clearance, tracks=tracks)
 
-    def remapped(self, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
+    def remap(self, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief with another map, all of whose fields are made anew.
 
         The time that the robot spent at each place and the idleness stay as they are.
@@ -300,7 +300,7 @@ class Perception(BeliefFields):
         """
         changed = self.with_map(belief, grid)
         information = self._information(grid, belief.idleness, None)
-        return self._derived(changed, information, belief.dwell, pose)
+        return self._derive_fields(changed, information, belief.dwell, pose)
 
     def observe(
         self,
@@ -332,9 +332,9 @@ class Perception(BeliefFields):
         """
         _kinds.instance("belief", belief, Belief)
         pose = _checks.pose("pose", pose)
-        _checks.shaped("elapsed", elapsed, ())
+        _checks.of_shape("elapsed", elapsed, ())
         if time is not None:
-            _checks.shaped("time", time, ())
+            _checks.of_shape("time", time, ())
         scans = as_scans(scans, len(self.sensors))
         belief, scans = self._track(belief, scans, pose, elapsed, time)
         grid, idleness, anomalies = belief.grid, belief.idleness, belief.anomalies
@@ -344,7 +344,7 @@ class Perception(BeliefFields):
             grid = update_grid(grid, sighting, self.sensor_model)
             if index == 0 and self.watch is not None and idleness is not None:
                 step = jnp.asarray(elapsed, jnp.float32)
-                idleness = self.watch.seen(idleness, sighting.is_seen, step)
+                idleness = self.watch.update(idleness, sighting.is_seen, step)
             if index == 0 and self.anomalies is not None and anomalies is not None:
                 now = anomalies.time + elapsed if time is None else time
                 args = (sensor, grid, scan, sighting.is_seen, pose, jnp.asarray(now, jnp.float32))
@@ -352,7 +352,7 @@ class Perception(BeliefFields):
         clearance = update_clearance(
             belief.clearance,
             self.window(grid, pose),
-            functools.partial(closed_cells, grid, self.ground),
+            functools.partial(find_closed_cells, grid, self.ground),
             self.max_clearance,
         )
         return dataclasses.replace(
@@ -396,5 +396,5 @@ class Perception(BeliefFields):
         return Window.around(pose[:2], reach, grid.frame, grid.shape)
 
     def _clearance(self, grid: OccupancyGrid) -> ScalarField:
-        closed = closed_cells(grid, self.ground)
+        closed = find_closed_cells(grid, self.ground)
         return clearance_field(closed, grid.frame, self.max_clearance)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from jaxplore import _kinds
 from jaxplore._types import Scalar
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.roadmap import narrowest
@@ -18,7 +18,7 @@ NARROW_SHARE = 0.4
 """Share of the margin that a robot keeps in passages that are too narrow for all of it."""
 
 
-def checked_test(
+def check_test(
     anomalies: AnomalyTest | None,
     sensor: Sensor,
     ground: Ground | None,
@@ -108,7 +108,7 @@ def narrow_clearance(
     blocks.
     """
     least = narrowest(stride, resolution, has_corners=has_corners)
-    return computed(
+    return compute(
         lambda xp, *each: xp.maximum(each[0] + NARROW_SHARE * each[1], xp.float32(least)),
         *(radius, margin),
     )

@@ -43,11 +43,11 @@ class Plans(NamedTuple):
         """
         return self._at(self.age + t) - self._at(self.age)
 
-    def after(self, elapsed: Scalar) -> "Plans":
+    def advance(self, elapsed: Scalar) -> "Plans":
         """Return the plans `elapsed` seconds later."""
         return self._replace(age=self.age + elapsed)
 
-    def told(self, positions: Float[Array, "N T 2"], is_heard: Bool[Array, " N"]) -> "Plans":
+    def update(self, positions: Float[Array, "N T 2"], is_heard: Bool[Array, " N"]) -> "Plans":
         """Return the plans with new positions [m], made now, of the obstacles that are heard."""
         return self._replace(
             positions=jnp.where(is_heard[:, None, None], positions, self.positions),

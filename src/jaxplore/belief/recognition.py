@@ -17,7 +17,7 @@ from jaxplore._xla import on_device
 from jaxplore.belief.sight import is_in_sight
 from jaxplore.information.field import InformationField
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.sensing.detector import Detections, Detector, checked_distributions
+from jaxplore.sensing.detector import Detections, Detector, check_distributions
 
 LEAST_ENTROPY = 1e-3
 """Entropy of an object's class below which the object adds nothing to the field [nat]."""
@@ -83,9 +83,9 @@ class Recognition(eqx.Module):
         I(C; Z | r) = sum over z of P(z) KL(p(c | z) || p(c))
                     = H(Z) - sum over c of p(c) H(Z | c)                                     [nat]
 
-    `informed` adds `weight I` to the information field at each node from which the object would be
-    in sight, in the sector that points to it. The robot then goes near what it does not recognise,
-    and looks again from another place. Rollouts look the sum up in O(1).
+    `add_information` adds `weight I` to the information field at each node from which the object
+    would be in sight, in the sector that points to it. The robot then goes near what it does not
+    recognise, and looks again from another place. Rollouts look the sum up in O(1).
 
     Sources: Bajcsy, "Active perception", Proceedings of the IEEE 1988; Denzler and Brown,
     "Information theoretic sensor data selection for active object recognition and state
@@ -126,7 +126,7 @@ class Recognition(eqx.Module):
         self.detector = detector
         count = detector.num_classes
         shares = np.full(count, 1.0 / count, np.float32) if prior is None else prior
-        given = checked_distributions("prior", shares, (count,))
+        given = check_distributions("prior", shares, (count,))
         # A class whose prior is 0 stays impossible: its logarithm is -inf, which Bayes' rule keeps.
         self.log_prior = jnp.log(given)
         self.certainty = _checks.scalar("certainty", certainty, above=0.5, below=1.0)
@@ -222,7 +222,7 @@ class Recognition(eqx.Module):
         # Rounding may make the difference of two equal entropies negative.
         return jnp.maximum(jnp.sum(entr(outcome)) - jnp.sum(probability * given_class), 0.0)
 
-    def informed(
+    def add_information(
         self, state: ObjectClasses, field: InformationField, grid: OccupancyGrid, max_range: float
     ) -> InformationField:
         """Return an information field with the information of looks at the objects.

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
-from jaxplore.belief.descent import NEIGHBOURS, stepped
+from jaxplore.belief.descent import NEIGHBOURS, find_predecessors
 from jaxplore.belief.geodesic import geodesic, narrow_passages
 from jaxplore.belief.guidance import LAYERS, GuidanceField, descent_field
 from jaxplore.maps.field import ScalarField
@@ -83,7 +83,7 @@ class Roadmap(eqx.Module):
         Narrow nodes are closed unless a path leads through them. The path of a robot at `start`
         (x, y) [m] may also begin at one.
         """
-        return self._extended(self.lengths(source), start)
+        return self._extend(self.lengths(source), start)
 
     def field_and_cost(
         self, source: Float[Array, "H W"], pose: Pose
@@ -91,9 +91,9 @@ class Roadmap(eqx.Module):
         """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
         lengths = self.lengths(source)
         start = point_sources(pose[:2], self.frame, self.is_passable, self.corners)
-        return self._extended(lengths, pose[:2]), (start + lengths).min()
+        return self._extend(lengths, pose[:2]), (start + lengths).min()
 
-    def _extended(self, lengths: Float[Array, "H W"], start: Position | None) -> GuidanceField:
+    def _extend(self, lengths: Float[Array, "H W"], start: Position | None) -> GuidanceField:
         """Return a cost-to-go as a field, extended into closed nodes."""
         if self.is_narrow is not None:
             # Narrow nodes along walls are closed, so that a wall looks to the robot as without
@@ -116,7 +116,7 @@ Price = Callable[[Array], Array]
 just fits."""
 
 
-def doubled_where_tight(tightness: Array) -> Array:
+def double_where_tight(tightness: Array) -> Array:
     """Return the cost of a metre that is doubled where the robot just fits."""
     return 1.0 + tightness
 
@@ -130,7 +130,7 @@ class Locomotion(eqx.Module):
         clearance: ScalarField,
         required: Scalar,
         stride: int,
-        price: Price = doubled_where_tight,
+        price: Price = double_where_tight,
         factor: Float[Array, "H W"] | None = None,
     ) -> Roadmap:
         """Build the lattice of places in which the robot fits, with one node per block of cells.
@@ -166,7 +166,7 @@ class TurnsOnTheSpot(Locomotion):
         clearance: ScalarField,
         required: Scalar,
         stride: int,
-        price: Price = doubled_where_tight,
+        price: Price = double_where_tight,
         factor: Float[Array, "H W"] | None = None,
     ) -> Roadmap:
         """Build the lattice of places in which the robot fits; see `Locomotion`."""
@@ -178,7 +178,7 @@ class TurnsOnTheSpot(Locomotion):
         if self.narrow is not None:
             fits = fit(clearance.values, self.narrow)[0]
             passable = fit(room, self.narrow)[0]
-            is_narrow = passable & ~is_open & ~_beside_bottleneck(passable, fits, stride)
+            is_narrow = passable & ~is_open & ~_find_bottleneck_nodes(passable, fits, stride)
             slowness = jnp.where(is_narrow, frame.resolution * NARROW_PRICE, slowness)
             if corners is None:
                 corners = _corners_at(is_narrow, fits, stride)
@@ -250,7 +250,7 @@ def _corners_at(
     return is_clear | _block_corners(~is_narrow, 1)
 
 
-def _beside_bottleneck(
+def _find_bottleneck_nodes(
     passable: Bool[Array, "H W"], fits: Bool[Array, "h w"], stride: int
 ) -> Bool[Array, "H W"]:
     """Return the passable nodes with a bottleneck to a passable node above, below or beside them.
@@ -334,7 +334,7 @@ def nearest_open(
     if corners is not None:
         is_reached = distance <= distance.min()
         for _ in range(2):
-            around = [stepped(is_reached, step, corners) for step in NEIGHBOURS]
+            around = [find_predecessors(is_reached, step, corners) for step in NEIGHBOURS]
             around.append(is_reached)
             is_reached = jnp.isfinite(distance) & functools.reduce(jnp.logical_or, around)
         # Farther than half the diagonal of a cell the point itself is in a closed place.

@@ -65,7 +65,7 @@ class RollingMap(eqx.Module):
         log-odds.
         """
         unit = jnp.maximum(jnp.abs(model.minimum), jnp.abs(model.maximum)) / LEVELS
-        offset = centred(grid.to_grid(position), shape, grid.shape, block)
+        offset = centre_window(grid.to_grid(position), shape, grid.shape, block)
         blocks = [-(-size // block) for size in grid.shape]
         stored = _levels(grid.log_odds, unit)
         rolling = cls(stored, offset, jnp.zeros(blocks), grid.origin, unit, grid.shape)
@@ -109,7 +109,7 @@ class RollingMap(eqx.Module):
         gap = jnp.stack([here, ends - here], axis=1) * grid.resolution
         is_near = jnp.any((gap < keep) & self.place(grid.shape).is_inner)
         is_near = is_near & jnp.all(jnp.isfinite(here))
-        offset = centred(here + self.offset.astype(here.dtype), grid.shape, self.shape, block)
+        offset = centre_window(here + self.offset.astype(here.dtype), grid.shape, self.shape, block)
         return is_near & jnp.any(offset != self.offset), offset
 
     def with_left(
@@ -223,7 +223,7 @@ def window_shape(
     return depth, height, width
 
 
-def centred(
+def centre_window(
     here: Float[Array, "3"], shape: tuple[int, int, int], whole: tuple[int, ...], block: int
 ) -> Int[Array, "3"]:
     """Return the first voxel of the window whose middle is nearest to a place.
@@ -237,7 +237,7 @@ def centred(
     return jnp.clip(first, 0, np.subtract(whole, shape).astype(np.int32))
 
 
-def shifted(values: Array, shift: Int[Array, "3"]) -> Array:
+def shift_array(values: Array, shift: Int[Array, "3"]) -> Array:
     """Return an array (..., D, H, W) moved by places along its last axes; 0 where nothing was.
 
     `shift` is the place (k, j, i) that becomes the first one.

@@ -12,7 +12,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import update_grid
 
 
-def revised(
+def close_loops(
     closer: LoopCloser,
     localiser: Localiser,
     known: LocaliserState,
@@ -29,16 +29,16 @@ def revised(
     Raises:
         ValueError: an argument of another class; GTSAM is not installed.
     """
-    known = closer.examined(localiser, known, perception.sensors)
-    settled = closer.settled(localiser, known, perception.sensors)
+    known = closer.find_loops(localiser, known, perception.sensors)
+    settled = closer.optimise_poses(localiser, known, perception.sensors)
     if settled is None:
         return known, belief
-    grid = _mapped((localiser, perception), settled, prior, start)
-    return settled, _remapped(perception, belief, grid, settled.pose)
+    grid = _map_scans((localiser, perception), settled, prior, start)
+    return settled, _remap(perception, belief, grid, settled.pose)
 
 
 @eqx.filter_jit
-def _mapped(
+def _map_scans(
     given: tuple[Localiser, Perception], known: LocaliserState, prior: OccupancyGrid, start: Pose
 ) -> OccupancyGrid:
     """Return the map of all stored scans at their poses."""
@@ -53,10 +53,12 @@ def _mapped(
             grid = update_grid(grid, sighting, perception.sensor_model)
         return grid
 
-    grid: OccupancyGrid = jax.lax.fori_loop(0, scans.number, add, perception.standing(prior, start))
+    grid: OccupancyGrid = jax.lax.fori_loop(
+        0, scans.number, add, perception.free_below_robot(prior, start)
+    )
     return grid
 
 
 @eqx.filter_jit
-def _remapped(perception: Perception, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
-    return perception.remapped(belief, grid, pose)
+def _remap(perception: Perception, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
+    return perception.remap(belief, grid, pose)

@@ -10,7 +10,7 @@ from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 
-def freed_below(
+def free_below(
     grid: OccupancyGrid, pose: Pose, required: Scalar, sensor_model: InverseSensorModel
 ) -> OccupancyGrid:
     """Return a map with the cells under a robot free, at the least probability of the sensor model.
@@ -31,7 +31,7 @@ def freed_below(
     return grid.with_probability(jnp.where(stands_on, freed, grid.probability))
 
 
-def freed_around(
+def free_around(
     grid: VoxelGrid, position: Float[Array, "3"], required: Scalar, sensor_model: InverseSensorModel
 ) -> VoxelGrid:
     """Return a map with the unknown voxels of the ball that a robot needs free.

@@ -55,7 +55,7 @@ class Outline(NamedTuple):
     margins: tuple[int, ...]
 
 
-def relaxed(
+def relax_costs(
     start: Float[Array, "*C H W"],
     parts: Sequence[Part],
     relax: Relax,
@@ -79,10 +79,10 @@ def relaxed(
     arrays = (start, *(each.values for each in parts), *numbers)
 
     def by_tiles(*given: Array) -> Array:
-        return relaxed_by_tiles(given, outline, relax, tiling)
+        return relax_by_tiles(given, outline, relax, tiling)
 
     def everywhere(*given: Array) -> Array:
-        return relaxed_everywhere(given, outline, relax, tiling)
+        return relax_everywhere(given, outline, relax, tiling)
 
     # Under `vmap` the maps are processed one after another: each has its own order of tiles.
     one_by_one = jax.custom_batching.sequential_vmap(by_tiles)  # type: ignore[no-untyped-call]
@@ -90,23 +90,21 @@ def relaxed(
     return value
 
 
-def relaxed_everywhere(
+def relax_everywhere(
     given: Sequence[Array], outline: Outline, relax: Relax, tiling: Tiling
 ) -> Array:
-    """Relax all nodes at once until none changes; see `relaxed`."""
+    """Relax all nodes at once until none changes; see `relax_costs`."""
     number = len(outline.outside)
     first, *others = (
         jnp.pad(each, _around(each, margin), constant_values=outside)
         for each, outside, margin in zip(given[:number], *outline, strict=True)
     )
     margin = outline.margins[0]
-    settled = _settled(first, [*others, *given[number:]], relax, margin, tiling.sweeps)
-    return _within(settled, margin)
+    settled = _relax_all(first, [*others, *given[number:]], relax, margin, tiling.sweeps)
+    return _crop(settled, margin)
 
 
-def relaxed_by_tiles(
-    given: Sequence[Array], outline: Outline, relax: Relax, tiling: Tiling
-) -> Array:
+def relax_by_tiles(given: Sequence[Array], outline: Outline, relax: Relax, tiling: Tiling) -> Array:
     """Relax tile by tile until no tile has a neighbour that changed since its last visit."""
     number, side, margin = len(outline.outside), tiling.side, outline.margins[0]
     height, width = given[0].shape[-2:]
@@ -145,10 +143,10 @@ def relaxed_by_tiles(
                 for each, beside in zip((value, *parts), outline.margins, strict=True)
             )
         )
-        settled = _settled(before, [*own, *given[number:]], relax, margin, tiling.sweeps)
-        after = _within(settled, margin)
+        settled = _relax_all(before, [*own, *given[number:]], relax, margin, tiling.sweeps)
+        after = _crop(settled, margin)
         # Values that fell near the edge of the tile become due in the neighbours on that side.
-        fallen = jnp.where(after < _within(before, margin), after, jnp.inf)
+        fallen = jnp.where(after < _crop(before, margin), after, jnp.inf)
         fallen = fallen.reshape(-1, side, side).min(axis=0)
         above, below = fallen[:margin], fallen[-margin:]
         left, right = fallen[:, :margin].min(), fallen[:, -margin:].min()
@@ -174,14 +172,14 @@ def relaxed_by_tiles(
     return value[..., margin : margin + height, margin : margin + width]
 
 
-def _settled(
+def _relax_all(
     start: Array, parts: Sequence[Array], relax: Relax, margin: int, num_sweeps: int
 ) -> Array:
     """Relax all nodes within the margin until none changes."""
     place = (*(0 for _ in start.shape[:-2]), margin, margin)
 
     def sweep(value: Array) -> tuple[Array, Array]:
-        own = _within(value, margin)
+        own = _crop(value, margin)
         nearest = jnp.minimum(own, relax(value, *parts))
         # Behind the barrier nothing reads the old values, so they are replaced in place.
         nearest, is_lower = _barrier(nearest, jnp.any(nearest < own))
@@ -206,5 +204,5 @@ def _around(array: Array, margin: int, more: tuple[int, int] = (0, 0)) -> list[t
     return [*((0, 0) for _ in array.shape[:-2]), *((margin, margin + each) for each in more)]
 
 
-def _within(array: Array, margin: int) -> Array:
+def _crop(array: Array, margin: int) -> Array:
     return array[..., margin:-margin, margin:-margin]

@@ -21,8 +21,8 @@ from jaxplore.sensing.clusters import (
     Clusters,
     Edges,
     cluster_points,
+    find_hiding_edges,
     has_neighbour,
-    hiding_edges,
 )
 
 FEWEST_BEAMS = 90
@@ -245,7 +245,7 @@ class ObstacleTracker(eqx.Module):
         # What stands for long is mapped, and so is what belongs to no track.
         is_kept = (of_cluster >= 0) & ~(tracks.still[of_cluster] > self.standing)
         of_beam = jnp.concatenate([is_kept, jnp.zeros(1, bool)])[clusters.label]
-        edges = hiding_edges(
+        edges = find_hiding_edges(
             *(ends, scan.ranges, scan.is_return & ~is_moving, 2.0 * self.radius, NUM_EDGES),
             is_circle=sensor.is_full_circle,
         )

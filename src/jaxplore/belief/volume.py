@@ -13,22 +13,22 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Scalar, Vector
 from jaxplore._xla import on_device
 from jaxplore.belief.coarse_voxels import (
-    aligned_window,
+    align_window,
     coarse_room,
     coarse_shape,
     coarse_states,
-    renewed,
+    update_coarse,
 )
 from jaxplore.belief.exploration_field import information_sources
-from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shifted, window_shape
-from jaxplore.belief.standing import freed_around
+from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shift_array, window_shape
+from jaxplore.belief.standing import free_around
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
 from jaxplore.belief.volume_belief import VolumeBelief
-from jaxplore.belief.volume_information import renewed_information
+from jaxplore.belief.volume_information import update_information
 from jaxplore.belief.volume_lattice import NODE, blank_field, volume_lattice
 from jaxplore.belief.volume_roads import NARROWEST, VolumeRoads
 from jaxplore.information.voxel_table import VoxelTable
-from jaxplore.maps.volume_clearance import clearance_of_volume, renewed_clearance
+from jaxplore.maps.volume_clearance import clearance_of_volume, update_clearance
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.window import Window
@@ -161,13 +161,13 @@ class VolumePerception(eqx.Module):
             grid: log-odds of the voxels that are known in advance.
             position: position (x, y, z) of the robot [m].
         """
-        grid = freed_around(grid, position, self.required, self.sensor_model)
+        grid = free_around(grid, position, self.required, self.sensor_model)
         shape, beyond = self.window_shape(grid.shape, grid.resolution), None
         if shape != grid.shape:
             beyond, grid = RollingMap.around(grid, position, shape, self._block, self.sensor_model)
         nothing = jnp.zeros((self.table.num_sectors, *volume_lattice(grid, self.pool)[0]))
         everywhere = jnp.ones(coarse_shape(grid.shape, self.pool)[1:], bool)
-        return self._made(position, grid, everywhere, nothing, nothing, beyond)
+        return self._make_belief(position, grid, everywhere, nothing, nothing, beyond)
 
     def window_shape(self, shape: tuple[int, int, int], side: float) -> tuple[int, int, int]:
         """Return the numbers of voxels (D, H, W) of which the belief of a volume is.
@@ -194,7 +194,7 @@ class VolumePerception(eqx.Module):
         """Distance to a face of the window, inside the volume, at which the window moves [m]."""
         return max(each.max_range for each in self.sensors) + AHEAD
 
-    def _made(
+    def _make_belief(
         self,
         position: Float[Array, "3"],
         grid: VoxelGrid,
@@ -233,15 +233,15 @@ class VolumePerception(eqx.Module):
         window = self.scan_window(belief.grid, position, rotation)
         grid = belief.grid
         for sensor, scan in zip(self.sensors, scans, strict=True):
-            grid = sensor.updated(grid, position, rotation, scan, self.sensor_model, window)
-        clearance = renewed_clearance(grid, belief.clearance.values, window, self.reach)
+            grid = sensor.update(grid, position, rotation, scan, self.sensor_model, window)
+        clearance = update_clearance(grid, belief.clearance.values, window, self.reach)
         seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
         states, rooms = (
             coarse_states(seen, self.pool),
             coarse_room(window.read(clearance), self.pool),
         )
-        coarse, is_new, among = renewed(belief.coarse, states, window, self.pool)
-        room, _, _ = renewed(belief.room, rooms, window, self.pool)
+        coarse, is_new, among = update_coarse(belief.coarse, states, window, self.pool)
+        room, _, _ = update_coarse(belief.room, rooms, window, self.pool)
         columns = Window(among.corner[1:], among.shape[1:], among.map_shape[1:])
         before = columns.read(belief.changed)
         changed = columns.write(belief.changed, before | is_new.any(axis=0))
@@ -273,7 +273,7 @@ class VolumePerception(eqx.Module):
         # reach of that. A return lies up to half a voxel behind its reading.
         margin = 2 * self.reach + 1
         shape = [self.extent + 2 + 2 * margin] * 3
-        return aligned_window(first - margin, shape, grid.shape, self.pool)
+        return align_window(first - margin, shape, grid.shape, self.pool)
 
     def update_fields(
         self,
@@ -291,7 +291,7 @@ class VolumePerception(eqx.Module):
             U(x) = min over s of d(x, s) - decay_length ln W(s)
             W(s) = sum over a of I_a(s) exp(-D_a(s) / patience)
 
-        A window that moves is taken to be stored (`VolumeBelief.remembered`). Nodes at its inner
+        A window that moves is taken to be stored (`VolumeBelief.store_window`). Nodes at its inner
         faces are places s as well, with the cost of the straight way to what was left outside: see
         `RollingMap.toward_the_rest`.
 
@@ -305,8 +305,8 @@ class VolumePerception(eqx.Module):
             heading: its heading [rad].
             elapsed: time since the last update [s].
         """
-        belief = self._rolled(belief, position)
-        every_sector = renewed_information(
+        belief = self._roll_window(belief, position)
+        every_sector = update_information(
             self.table,
             self.sensor_model,
             self.occupancy_prior,
@@ -357,7 +357,7 @@ class VolumePerception(eqx.Module):
         )
         return known
 
-    def _rolled(self, belief: VolumeBelief, position: Float[Array, "3"]) -> VolumeBelief:
+    def _roll_window(self, belief: VolumeBelief, position: Float[Array, "3"]) -> VolumeBelief:
         """Return the belief with its window around the robot, if that is near a face of it."""
         beyond, grid = belief.beyond, belief.grid
         if beyond is None:
@@ -365,23 +365,23 @@ class VolumePerception(eqx.Module):
         is_due, offset = beyond.next_offset(grid, position, self._kept_ahead, self._block)
         rest, stored = belief.split()
 
-        def moved() -> VolumeBelief:
+        def move() -> VolumeBelief:
             worth = jnp.sum(belief.sectors * jnp.exp(-belief.dwell / self.patience), axis=0)
             # Behind the walls of a building, too, there is much that is not known.
             worth = jnp.where(self.roads(belief).is_open, worth, 0.0)
             left = beyond.with_left(grid.shape, worth, self._block)
             there = eqx.tree_at(lambda each: (each.offset, each.left), beyond, (offset, left))
             shift = (offset - beyond.offset) // self.pool
-            is_old = shifted(jnp.ones_like(belief.coarse, bool), shift).all(axis=0)
-            changed = shifted(belief.changed[None], shift.at[0].set(0))[0]
+            is_old = shift_array(jnp.ones_like(belief.coarse, bool), shift).all(axis=0)
+            changed = shift_array(belief.changed[None], shift.at[0].set(0))[0]
             sectors, dwell = (
-                shifted(each, shift // NODE) for each in (belief.sectors, belief.dwell)
+                shift_array(each, shift // NODE) for each in (belief.sectors, belief.dwell)
             )
             window = there.window(grid, grid.shape)
-            made = self._made(position, window, changed | ~is_old, sectors, dwell, there)
+            made = self._make_belief(position, window, changed | ~is_old, sectors, dwell, there)
             return made.split()[0]
 
-        known: VolumeBelief = eqx.combine(jax.lax.cond(is_due, moved, lambda: rest), stored)
+        known: VolumeBelief = eqx.combine(jax.lax.cond(is_due, move, lambda: rest), stored)
         return known
 
     def roads(self, belief: VolumeBelief) -> VolumeRoads:

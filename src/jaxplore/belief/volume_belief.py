@@ -64,7 +64,7 @@ class VolumeBelief(eqx.Module):
         rest, stored = eqx.partition(self, everything)
         return rest, stored
 
-    def remembered(self) -> "VolumeBelief":
+    def store_window(self) -> "VolumeBelief":
         """Return the belief with its window stored in the whole volume."""
         if self.beyond is None:
             return self
@@ -73,7 +73,7 @@ class VolumeBelief(eqx.Module):
         )
         return kept
 
-    def placed(self, window: Window) -> Window:
+    def place_window(self, window: Window) -> Window:
         """Return a window of `grid` as one of the whole volume."""
         if self.beyond is None:
             return window

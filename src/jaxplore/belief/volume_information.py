@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import Scalar
-from jaxplore.belief.coarse_voxels import OCCUPIED, UNKNOWN, within_reach
+from jaxplore.belief.coarse_voxels import OCCUPIED, UNKNOWN, find_stale_columns
 from jaxplore.information.stale_tiles import first_group
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.window import Window
@@ -17,7 +17,7 @@ BEYOND = 3
 """State of what is beyond the map."""
 
 
-def renewed_information(
+def update_information(
     table: VoxelTable,
     model: InverseSensorModel,
     occupancy_prior: Scalar,
@@ -37,7 +37,7 @@ def renewed_information(
     """
     depth, rows, columns = before.shape[1:]
     tile, reach, stride = (_side(rows), _side(columns)), table.reach, table.stride
-    stale = within_reach(changed, reach, 1, stride, (rows, columns))
+    stale = find_stale_columns(changed, reach, 1, stride, (rows, columns))
     # Beyond the map nothing passes and nothing is learned: that of certainly occupied voxels.
     margin = (reach, reach + stride)
     padded = jnp.pad(states, ((0, 0), margin, margin), constant_values=BEYOND)

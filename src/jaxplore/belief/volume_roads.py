@@ -65,7 +65,7 @@ class VolumeRoads(eqx.Module):
 
     def field(self, source: Float[Array, "D H W"]) -> VolumeField:
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
-        values = _extended(self.lengths(source), self.spacing)
+        values = _extend(self.lengths(source), self.spacing)
         return VolumeField(values, self.origin, self.spacing, jnp.asarray(FAR))
 
     def distances(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:
@@ -108,7 +108,7 @@ def _dilate(mask: Bool[Array, "D H W"]) -> Bool[Array, "D H W"]:
     return mask
 
 
-def _extended(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:
+def _extend(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:
     """Return costs with values in closed nodes near open ones, so that they can be interpolated."""
     for _ in range(LAYERS):
         wide = jnp.pad(costs, 1, constant_values=jnp.inf)

@@ -107,7 +107,7 @@ class Zones(eqx.Module):
     def __check_init__(self) -> None:
         if not isinstance(self.member, (Array, np.ndarray)):
             raise ValueError(
-                f"member is {_kinds.described(self.member)}; accepted: an array (Z, H, W)"
+                f"member is {_kinds.describe(self.member)}; accepted: an array (Z, H, W)"
             )
 
     @classmethod
@@ -126,7 +126,7 @@ class Zones(eqx.Module):
                 is not below its maximum, a rectangle without a cell of the grid.
         """
         # The numbers of traced rectangles are unknown, so neither they nor their cells are checked.
-        bounds = rectangles if isinstance(rectangles, Tracer) else _checked_rectangles(rectangles)
+        bounds = rectangles if isinstance(rectangles, Tracer) else _check_rectangles(rectangles)
         height, width = grid.shape
         rows, columns = jnp.mgrid[:height, :width]
         centre = grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
@@ -149,7 +149,7 @@ class Zones(eqx.Module):
         """Number of cells in each zone, (Z,)."""
         return self.member.sum(axis=(1, 2))
 
-    def remaining(self, grid: OccupancyGrid) -> Float[Array, " Z"]:
+    def uncertainty(self, grid: OccupancyGrid) -> Float[Array, " Z"]:
         """Return the remaining uncertainty of each zone (Z,): the mean of `4 p (1 - p)`.
 
         It is 1 for an unknown and 0 for a known zone (quadrotor design notes).
@@ -187,7 +187,7 @@ class Zones(eqx.Module):
 
         with `covered` the share of the zone's cells that are visible. With rate 1, observing the
         whole zone depletes it. The levels are model states, one per zone, as in the quadrotor
-        design notes; with a map that is updated, use `remaining` instead.
+        design notes; with a map that is updated, use `uncertainty` instead.
 
         Args:
             levels: information levels (Z,) before the observation.
@@ -209,7 +209,7 @@ class Zones(eqx.Module):
         return total / jnp.maximum(self.num_cells, 1).astype(jnp.float32)
 
 
-def _checked_rectangles(rectangles: Rectangles) -> np.ndarray:
+def _check_rectangles(rectangles: Rectangles) -> np.ndarray:
     accepted = "(Z, 4) finite numbers (x_min, y_min, x_max, y_max), min < max, Z >= 1"
     try:
         array = np.asarray(rectangles, np.float64)

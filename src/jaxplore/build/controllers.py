@@ -8,7 +8,7 @@ from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
 from jaxplore.build.fleet import cost_of_others, has_others
 from jaxplore.build.localisation import uncertain_robot
-from jaxplore.build.own import own_controller, own_rule
+from jaxplore.build.own import import_controller, import_rule
 from jaxplore.build.parts import build_robot
 from jaxplore.build.world import RunWorld, expects_people
 from jaxplore.control.base import Controller
@@ -69,7 +69,7 @@ def build_controller(
         return controller if uncertain is None else UncertaintyAware(controller)
     if settings.architecture == "portfolio":
         return _portfolio(settings, world, scenario.chassis)
-    own = own_rule(settings.architecture) if is_own(settings.architecture) else None
+    own = import_rule(settings.architecture) if is_own(settings.architecture) else None
     if own is not None or settings.architecture in BASELINES:
         return target_explorer(
             robot,
@@ -83,7 +83,7 @@ def build_controller(
             **arguments(settings.controller, explorer),
         )
     if is_own(settings.architecture):
-        return own_controller(settings.architecture, scenario)
+        return import_controller(settings.architecture, scenario)
     return _quadrotor_controller(settings, robot, world, perception)
 
 

@@ -41,14 +41,14 @@ from jaxplore.simulation.scenario import Scenario
 def build_exploration(settings: Settings, map_shape: tuple[int, int] | None = None) -> Experiment:
     """Build the experiment that settings describe.
 
-    `map_shape` are the rows and columns of the map's arrays, see `OccupancyGrid.padded`; they are
+    `map_shape` are the rows and columns of the map's arrays, see `OccupancyGrid.pad`; they are
     chosen when None. The run does not depend on them, but runs of one shape share a program.
     """
     robot = build_robot(settings.robot)
     world = build_world(settings, float(robot.radius))
     if map_shape is not None:
-        ground = None if world.ground is None else world.ground.padded(map_shape)
-        world = world._replace(grid=world.grid.padded(map_shape), ground=ground)
+        ground = None if world.ground is None else world.ground.pad(map_shape)
+        world = world._replace(grid=world.grid.pad(map_shape), ground=ground)
     return build_in(settings, robot, world)
 
 
@@ -99,9 +99,9 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
             "max_unknown": _choose_max_unknown(settings),
         },
         **arguments(settings.rates, ExplorationScenario),
-    ).varied(build_variation(settings.variation))
+    ).with_variation(build_variation(settings.variation))
     has_guard = settings.guard and settings.fleet is None
-    return scenario.guarded(MotionGuard() if has_guard else None)
+    return scenario.with_guard(MotionGuard() if has_guard else None)
 
 
 def _choose_max_unknown(settings: Settings) -> float | None:
@@ -158,10 +158,10 @@ def with_start(entries: dict[str, Any]) -> dict[str, Any]:
     if settings.start is not None or not is_ros_map(settings):
         return entries
     world = build_world(settings, float(build_robot(settings.robot).radius))
-    return {**entries, "start": tuple(world.datum.shown(world.start).tolist())}
+    return {**entries, "start": tuple(world.datum.round_to_map(world.start).tolist())}
 
 
-def compared_architectures(entries: dict[str, Any]) -> tuple[str, ...]:
+def choose_architectures(entries: dict[str, Any]) -> tuple[str, ...]:
     """Return the architectures to compare by default.
 
     A portfolio is compared with the explorer. Otherwise the quadrotor architectures that the map

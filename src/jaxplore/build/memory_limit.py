@@ -19,7 +19,7 @@ def default_limit(root: Path = _ROOT) -> float:
     system does not say what is available, it is that share of the memory of the machine; infinite
     if that is unknown as well. Tests give another `root` of the file system.
     """
-    return SHARE * min([_available(root), *_left_in_groups(root)])
+    return SHARE * min([_available(root), *_free_in_groups(root)])
 
 
 def _available(root: Path) -> float:
@@ -33,7 +33,7 @@ def _available(root: Path) -> float:
         return float("inf")
 
 
-def _left_in_groups(root: Path) -> Iterator[float]:
+def _free_in_groups(root: Path) -> Iterator[float]:
     """Yield what is left of each memory limit of this process's control groups [bytes]."""
     for line in _read(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")

@@ -1,8 +1,8 @@
 """Estimate the memory of a run from its settings, before anything is allocated or compiled.
 
-The estimate is a sum of parts. With H x W cells of the map in arrays (see `padded_shape`), N nodes
-of the information field, D directions, B beams of R cells, K rollouts of T steps of nu controls, S
-control periods and F frames, in bytes:
+The estimate is a sum of parts. With H x W cells of the map in arrays (see `choose_padded_shape`), N
+nodes of the information field, D directions, B beams of R cells, K rollouts of T steps of nu
+controls, S control periods and F frames, in bytes:
 
     programs    0.65e9                                Python, JAX and the compiled loop
     map         130 H W + 16 pixels of the image      the maps of the world and of the robot
@@ -36,7 +36,7 @@ from jaxplore.belief.volume_lattice import NODE
 from jaxplore.build.volume import volume_size
 from jaxplore.build.world import ENOUGH, is_ros_map
 from jaxplore.maps.files.ros import map_size
-from jaxplore.maps.padding import padded_shape
+from jaxplore.maps.padding import choose_padded_shape
 from jaxplore.maps.world import three_zones, world_shape
 from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.exploration import OFFICE, QUADROTOR, ZONES, Settings
@@ -107,12 +107,12 @@ def needs(
         return (
             _programs(),
             *(part._replace(size=number * part.size) for part in parts),
-            *_heard(settings, number),
+            *_fleet_maps(settings, number),
         )
     if isinstance(settings, VolumeSettings):
         return (_programs(), *_volume(settings, limit))
     assert isinstance(settings, PathSettings)
-    return (_programs(), *_following(settings))
+    return (_programs(), *_path_following(settings))
 
 
 def check_needs(
@@ -148,18 +148,18 @@ def _programs() -> Part:
     return Part(_PROGRAMS, "every run", PROGRAMS)
 
 
-def _heard(settings: Settings, number: int) -> Iterator[Part]:
+def _fleet_maps(settings: Settings, number: int) -> Iterator[Part]:
     """Yield what the robots of a fleet have heard of one another."""
     if number > 1:
         size = _map_size(settings)
-        cells = _padded(size.rows) * _padded(size.columns)
+        cells = _pad(size.rows) * _pad(size.columns)
         yield Part("maps that robots have heard", "fleet.robots", 12.0 * number**2 * cells)
 
 
 def _exploration(settings: Settings, node: NodeSettings | None) -> Iterator[Part]:
-    size = _map_size(settings) if node is None else _own_map(settings, node)
+    size = _map_size(settings) if node is None else _node_map_size(settings, node)
     # Sides in floating point: the numbers of an absurd map may have hundreds of digits.
-    rows, columns = (_padded(side) for side in (size.rows, size.columns))
+    rows, columns = (_pad(side) for side in (size.rows, size.columns))
     cells = rows * columns
     yield Part("map", _of_map(settings, node), 130.0 * cells + 16.0 * size.pixels)
 
@@ -234,7 +234,7 @@ def _controllers(
         yield _rollouts("controller", robot, settings.controller)
 
 
-def _following(settings: PathSettings) -> Iterator[Part]:
+def _path_following(settings: PathSettings) -> Iterator[Part]:
     given, obstacles = settings.controller, settings.obstacles
     corners = len(obstacles.discs) + sum(map(len, obstacles.polygons))
     outcomes = 1 if given.risk_level is None else given.num_outcomes
@@ -323,7 +323,7 @@ def _map_size(settings: Settings) -> MapSize:
     return MapSize(*shape, resolution)
 
 
-def _own_map(settings: Settings, node: NodeSettings) -> MapSize:
+def _node_map_size(settings: Settings, node: NodeSettings) -> MapSize:
     cells = node.map_size / settings.resolution
     return MapSize(cells, cells, settings.resolution)
 
@@ -337,6 +337,6 @@ def _of_map(settings: Settings, node: NodeSettings | None) -> str:
     return "office.width, office.height, resolution" if is_office else "size and resolution"
 
 
-def _padded(side: float) -> float:
+def _pad(side: float) -> float:
     whole = math.ceil(max(side, 1.0))
-    return float(padded_shape((whole, whole))[0])
+    return float(choose_padded_shape((whole, whole))[0])

@@ -8,7 +8,7 @@ from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import Perception
 from jaxplore.build.exploration import build_in, build_scenario
 from jaxplore.build.localisation import build_localisation
-from jaxplore.build.own import own_rule
+from jaxplore.build.own import import_rule
 from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
 from jaxplore.build.world import RunWorld
 from jaxplore.costs.base import Cost
@@ -91,7 +91,7 @@ def build_goal_chooser(settings: Settings) -> GoalChooser:
         **arguments(settings.fields, Perception),
     )
     if is_own(settings.architecture):
-        rule = own_rule(settings.architecture)
+        rule = import_rule(settings.architecture)
         if rule is None:
             raise ValueError(
                 f"architecture is {settings.architecture!r}, no rule; accepted: a TargetRule, for "
@@ -133,7 +133,7 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
                 f"setting adaptive_horizon.rule is {settings.adaptive_horizon.rule!r} with "
                 "node.mode follow; accepted: none"
             )
-        following = _following(settings, node, robot)
+        following = _build_following(settings, node, robot)
         scenario = build_scenario(settings, following.model, world)
         controller = set_parameters(following.controller, settings.parameters)
         pilot = Pilot(
@@ -171,7 +171,7 @@ def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation 
     return found, settings.model_copy(update={"localisation": None})
 
 
-def _following(settings: Settings, node: NodeSettings, robot: Dynamics) -> PathFollowing:
+def _build_following(settings: Settings, node: NodeSettings, robot: Dynamics) -> PathFollowing:
     """Build the contouring control of a robot that keeps clear of what its own map shows."""
     given = settings.controller
     near: Cost = ObstacleCost(given.clearance)

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from jaxplore._kinds import described
+from jaxplore._kinds import describe
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.planning.strategy.target_rules import TargetRule
@@ -22,44 +22,44 @@ _RULE = "a TargetRule, a class or an instance, or a function from a scenario to 
 _ROBOT = "a Dynamics, a class or an instance"
 
 
-def own_robot(name: str) -> Dynamics:
+def import_robot(name: str) -> Dynamics:
     """Return the robot that the setting `robot.model` names.
 
     `name` is MODULE:NAME of a `jaxplore.Dynamics`, a class or an instance.
     """
-    found = _made("robot.model", name, Dynamics)
+    found = _instantiate("robot.model", name, Dynamics)
     if not isinstance(found, Dynamics):
-        raise ValueError(f"robot.model is {name}, {described(found)}; accepted: {_ROBOT}")
+        raise ValueError(f"robot.model is {name}, {describe(found)}; accepted: {_ROBOT}")
     return found
 
 
-def own_rule(name: str) -> TargetRule | None:
+def import_rule(name: str) -> TargetRule | None:
     """Return the rule that the setting `architecture` names; None if it names a function.
 
     `name` is MODULE:NAME of a function or of a `jaxplore.planning.TargetRule`, class or instance.
     """
-    found = _made("architecture", name, TargetRule)
+    found = _instantiate("architecture", name, TargetRule)
     if isinstance(found, TargetRule):
         return found
     if isinstance(found, type) or not callable(found) or isinstance(found, Controller):
-        raise ValueError(f"architecture is {name}, {described(found)}; accepted: {_RULE}")
+        raise ValueError(f"architecture is {name}, {describe(found)}; accepted: {_RULE}")
     return None
 
 
-def own_controller(name: str, scenario: Scenario) -> Controller:
+def import_controller(name: str, scenario: Scenario) -> Controller:
     """Return the controller that the function makes which the setting `architecture` names.
 
     A function that fails, or that returns something else, raises a ValueError.
     """
-    controller = _called("architecture", name, _find("architecture", name), scenario)
+    controller = _call("architecture", name, _find("architecture", name), scenario)
     if not isinstance(controller, Controller):
         raise ValueError(
-            f"architecture is {name}, which returned {described(controller)}; accepted: {_RULE}"
+            f"architecture is {name}, which returned {describe(controller)}; accepted: {_RULE}"
         )
     return controller
 
 
-def own_code(settings: RunSettings) -> str:
+def hash_user_code(settings: RunSettings) -> str:
     """Return a hash of the files of the modules that settings name; empty if they name none."""
     values: dict[str, Any] = {
         "architecture": getattr(settings, "architecture", None),
@@ -73,7 +73,7 @@ def own_code(settings: RunSettings) -> str:
     return whole.hexdigest()[:20] if any(map(is_own, values.values())) else ""
 
 
-def _made(setting: str, name: str, kind: type) -> Any:
+def _instantiate(setting: str, name: str, kind: type) -> Any:
     """Return what a name names; of a class of a kind, an instance."""
     found = _find(setting, name)
     if not isinstance(found, type) or not issubclass(found, kind):
@@ -85,10 +85,10 @@ def _made(setting: str, name: str, kind: type) -> Any:
             f"{setting} is {name}, whose constructor needs arguments ({error}); accepted: defaults "
             f"for them, or an instance in the module, such as mine = {found.__name__}(...)"
         ) from error
-    return _called(setting, name, found)
+    return _call(setting, name, found)
 
 
-def _called(setting: str, name: str, function: Any, *arguments: Any) -> Any:
+def _call(setting: str, name: str, function: Any, *arguments: Any) -> Any:
     try:
         return function(*arguments)
     except Exception as error:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from jaxplore.belief.recognition import Recognition
-from jaxplore.build.own import own_robot
+from jaxplore.build.own import import_robot
 from jaxplore.control.adaptive_horizon import (
     AdaptiveHorizon,
     HorizonByClearance,
@@ -56,7 +56,7 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
     model of the user's own has its own.
     """
     if is_own(given.model):
-        return own_robot(given.model)
+        return import_robot(given.model)
     if given.model == "quadrotor":
         return Quadrotor(given.mass, radius=given.radius)
     if given.model == "unicycle":

@@ -31,9 +31,9 @@ def build_path_following(settings: PathSettings) -> Experiment:
     """Build the experiment that settings describe."""
     datum = ORIGIN if settings.path == TRACK else path_datum(settings.path)
     path = _path(settings, datum)
-    traffic, standing = _traffic(settings, path), _standing(settings, datum)
+    traffic, standing = _traffic(settings, path), _build_standing(settings, datum)
     has_obstacles = traffic is not None or standing is not None
-    following = _following(settings, path, has_obstacles=has_obstacles)
+    following = _build_following(settings, path, has_obstacles=has_obstacles)
     scenario = PathScenario(
         following.model,
         path,
@@ -44,7 +44,7 @@ def build_path_following(settings: PathSettings) -> Experiment:
         datum=datum,
         **arguments(settings, PathScenario),
         **arguments(settings.obstacles, PathScenario),
-    ).varied(build_variation(settings.variation))
+    ).with_variation(build_variation(settings.variation))
     controller = with_adaptive_horizon(
         set_parameters(following.controller, settings.parameters), settings.adaptive_horizon
     )
@@ -56,7 +56,7 @@ def build_path_following(settings: PathSettings) -> Experiment:
     )
 
 
-def _following(settings: PathSettings, path: Path, *, has_obstacles: bool) -> PathFollowing:
+def _build_following(settings: PathSettings, path: Path, *, has_obstacles: bool) -> PathFollowing:
     other: Cost | None = None
     disturbance: Disturbance | None = None
     risk: Risk | None = None
@@ -104,7 +104,7 @@ def _traffic(settings: PathSettings, path: Path) -> Traffic | None:
     )
 
 
-def _standing(settings: PathSettings, datum: Datum) -> Outlines | None:
+def _build_standing(settings: PathSettings, datum: Datum) -> Outlines | None:
     given = settings.obstacles
     if not given.discs and not given.polygons:
         return None

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from jaxplore.build.exploration import build_exploration, compared_architectures, with_start
+from jaxplore.build.exploration import build_exploration, choose_architectures, with_start
 from jaxplore.build.path import build_path_following
 from jaxplore.build.volume import build_volume
 from jaxplore.build.volume import with_start as with_start_in_volume
@@ -38,7 +38,7 @@ TASKS = {
         Settings,
         make_exploration_settings,
         build_exploration,
-        compared_architectures,
+        choose_architectures,
         with_start,
     ),
     # A path begins where it begins.

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxplore._text import printable_path
 from jaxplore.belief.volume import VolumePerception
-from jaxplore.build.own import own_controller, own_rule
+from jaxplore.build.own import import_controller, import_rule
 from jaxplore.build.parts import (
     build_faults,
     build_sensor_model,
@@ -70,7 +70,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         datum=datum,
         **arguments(settings, VolumeScenario),
         **arguments(settings.rates, VolumeScenario),
-    ).varied(build_variation(settings.variation))
+    ).with_variation(build_variation(settings.variation))
     controller = set_parameters(_controller(settings, scenario), settings.parameters)
     controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
     return Experiment(
@@ -86,10 +86,10 @@ def build_world(settings: VolumeSettings) -> tuple[VoxelGrid, Datum]:
     kind = GENERATED.get(settings.volume)
     if kind is None:
         # A file is read for the estimate of the memory, for the start, and for the run: once.
-        return _made(*_key(settings))
+        return _make_voxels(*_key(settings))
     world = generate_volume(
         kind,
-        size=_generated_size(settings),
+        size=_volume_size(settings),
         **arguments(settings.generated, generate_volume),
         **arguments(settings, generate_volume),
     )
@@ -119,7 +119,7 @@ def _open(key: _Key, memory: float = MEMORY) -> VolumeFile:
 
 
 @functools.lru_cache(maxsize=1)
-def _made(*key: Any) -> tuple[VoxelGrid, Datum]:
+def _make_voxels(*key: Any) -> tuple[VoxelGrid, Datum]:
     """Make the voxels of a file, or return the last ones."""
     opened = _open(key)
     datum = opened.datum
@@ -153,12 +153,12 @@ def volume_size(
     if settings.volume not in GENERATED:
         return _size(min(memory, MEMORY), *_key(settings))
     width, height, depth = (
-        max(3, round(each / settings.resolution)) for each in _generated_size(settings)
+        max(3, round(each / settings.resolution)) for each in _volume_size(settings)
     )
     return (depth, height, width), settings.resolution
 
 
-def _generated_size(settings: VolumeSettings) -> tuple[float, float, float]:
+def _volume_size(settings: VolumeSettings) -> tuple[float, float, float]:
     """Return the extents (x, y, z) of a generated volume [m]."""
     if settings.generated.size is not None:
         return settings.generated.size
@@ -213,9 +213,9 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
             **arguments(settings.controller, volume_informative_mppi),
             **flying,
         )
-    own = own_rule(name) if is_own(name) else None
+    own = import_rule(name) if is_own(name) else None
     if own is None and is_own(name):
-        return own_controller(name, scenario)
+        return import_controller(name, scenario)
     return volume_target_explorer(
         scenario.robot,
         name if own is None else own,
@@ -262,5 +262,5 @@ def with_start(entries: dict[str, Any]) -> dict[str, Any]:
         return entries
     robot = Quadrotor(**arguments(settings.robot, Quadrotor))
     world, datum = build_world(settings)
-    start = datum.shown(_start(settings, world, robot, datum))
+    start = datum.round_to_map(_start(settings, world, robot, datum))
     return {**entries, "start": tuple(start.tolist())}

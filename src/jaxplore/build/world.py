@@ -13,7 +13,7 @@ from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import LabelledObject, MovingObstacle, World, is_world_file, three_zones
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, ZONES, Settings
-from jaxplore.simulation.exploration.planted import PlantedAnomalies, planted_anomalies
+from jaxplore.simulation.exploration.planted import PlantedAnomalies, find_anomalies
 from jaxplore.simulation.exploration.reachability import open_spot, with_closed
 
 ENOUGH = 1.0 - 1e-6
@@ -83,7 +83,7 @@ def _still_world(settings: Settings, radius: float) -> RunWorld:
     if settings.map == OFFICE:
         grid = office(**arguments(settings.office, office), **arguments(settings, office))
         start = start_pose(grid) if settings.start is None else settings.start
-        return RunWorld(grid, start, _known(grid, settings), goal=settings.goal)
+        return RunWorld(grid, start, _prior_of(grid, settings), goal=settings.goal)
     if settings.map == ZONES:
         return _in_world(three_zones(), settings)
     return _in_world(World.from_yaml(settings.map), settings)
@@ -126,7 +126,7 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
         world.targets,
         world.movers,
         world.forbidden,
-        planted_anomalies(world),
+        find_anomalies(world),
         world.objects,
         datum,
     )
@@ -162,11 +162,11 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
     else:
         start = _local_pose(settings.start, datum)
     goal = None if settings.goal is None else _local(settings.goal, datum)
-    prior = _known(grid, settings)
+    prior = _prior_of(grid, settings)
     return RunWorld(grid, start, prior, goal=goal, ground=ground, datum=datum)
 
 
-def _known(grid: OccupancyGrid, settings: Settings) -> OccupancyGrid | None:
+def _prior_of(grid: OccupancyGrid, settings: Settings) -> OccupancyGrid | None:
     """Return a true map as the robot knows it in advance; None if it does not."""
     return grid if settings.is_map_known else None
 

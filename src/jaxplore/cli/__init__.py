@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from jaxplore._exit import BAD_INPUT, INTERRUPTED
-from jaxplore._signals import interrupting
+from jaxplore._signals import interrupt_on_end_signals
 from jaxplore._text import one_line
 from jaxplore._version import __version__
 from jaxplore.cli._cache import cache_option
@@ -94,7 +94,7 @@ def run(out: Path | None, overwrite: bool, **options: Any) -> None:
     """
     from jaxplore.cli._run import run_one
 
-    with interrupting():
+    with interrupt_on_end_signals():
         run_one(options, out, overwrite=overwrite)
 
 
@@ -144,7 +144,7 @@ def compare(seeds: int, out: Path | None, overwrite: bool, **options: Any) -> No
     """
     from jaxplore.cli._comparison import run_comparison
 
-    with interrupting():
+    with interrupt_on_end_signals():
         run_comparison(options, seeds, out, overwrite=overwrite)
 
 
@@ -179,7 +179,7 @@ def tune(out: Path | None, **options: Any) -> None:
     """
     from jaxplore.cli._tune import run_tune
 
-    with interrupting():
+    with interrupt_on_end_signals():
         run_tune(options, out)
 
 
@@ -199,7 +199,7 @@ def view(folder: Path, port: int, host: str | None) -> None:
     """
     from jaxplore.cli._view import show_folder
 
-    with interrupting():
+    with interrupt_on_end_signals():
         show_folder(folder, port, host)
 
 
@@ -221,7 +221,7 @@ def print_settings(name: str | None) -> None:
     """
     from jaxplore.cli._settings import show_settings
 
-    with interrupting():
+    with interrupt_on_end_signals():
         show_settings(name)
 
 
@@ -258,7 +258,7 @@ def import_nav2(
     """
     from jaxplore.cli import _import_nav2
 
-    with interrupting():
+    with interrupt_on_end_signals():
         _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
 
 

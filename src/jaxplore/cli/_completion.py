@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 import click
 from click.shell_completion import CompletionItem
 
-from jaxplore.cli._known import known
+from jaxplore.cli._known import load_known
 
 type Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
@@ -18,28 +18,28 @@ def complete_map(
 ) -> list[CompletionItem]:
     """Complete a map: names of scenarios, and files."""
     # The item of type file lets the shell complete files. Bash does so if no name fits.
-    return [CompletionItem(incomplete, type="file"), *_fitting(known().places, incomplete)]
+    return [CompletionItem(incomplete, type="file"), *_complete(load_known().places, incomplete)]
 
 
 def complete_assignment(
     _context: click.Context, _option: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Complete the name of a setting that gets a value, NAME=VALUE."""
-    return _fitting((f"{name}=" for name in known().settings), incomplete)
+    return _complete((f"{name}=" for name in load_known().settings), incomplete)
 
 
 def complete_setting(
     _context: click.Context, _option: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Complete the name of a setting."""
-    return _fitting(known().settings, incomplete)
+    return _complete(load_known().settings, incomplete)
 
 
 def complete_name(
     _context: click.Context, _argument: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Complete a name of `jaxplore settings`."""
-    return _fitting(known().names, incomplete)
+    return _complete(load_known().names, incomplete)
 
 
 def values_of(setting: str) -> Complete:
@@ -48,7 +48,7 @@ def values_of(setting: str) -> Complete:
     def complete(
         _context: click.Context, _option: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        return _fitting(known().words[setting], incomplete)
+        return _complete(load_known().words[setting], incomplete)
 
     return complete
 
@@ -68,10 +68,10 @@ def words(names: Iterable[str]) -> Complete:
     def complete(
         _context: click.Context, _option: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        return _fitting(names, incomplete)
+        return _complete(names, incomplete)
 
     return complete
 
 
-def _fitting(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+def _complete(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]

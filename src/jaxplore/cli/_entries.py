@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._files import YAML_SUFFIXES, parse_yaml, yaml_beside
-from jaxplore._spelling import spelled
+from jaxplore._spelling import match_spelling
 from jaxplore._text import printable_path, short_repr
 from jaxplore.maps.files.volume_file import SUFFIXES
 from jaxplore.settings.exploration import (
@@ -125,7 +125,7 @@ def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
 
     A file that names code must be trusted.
     """
-    name = spelled(name, SCENARIOS)
+    name = match_spelling(name, SCENARIOS)
     if name in (OFFICE, ZONES, *SCENARIOS):
         return {"map": name}
     _check_file(Path(name))

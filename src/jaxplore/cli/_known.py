@@ -43,7 +43,7 @@ class Known(NamedTuple):
 
 
 @functools.cache
-def known() -> Known:
+def load_known() -> Known:
     """Return what the file says, or what it would say where it is missing."""
     if not FILE.exists():
         return from_settings()

@@ -111,7 +111,7 @@ def _write(mapped: LogMap, metrics: dict[str, object], folder: Path, *, overwrit
     grid = mapped.map
     origin = np.asarray(grid.frame.origin, np.float64) + np.append(mapped.start, 0.0)
     with run_folder(folder, overwrite=overwrite) as hidden:
-        probability = grid.cropped(grid.probability)
+        probability = grid.crop(grid.probability)
         write_map(hidden / "map.yaml", probability, grid.resolution, origin.tolist())
         write_figure(log_figure(mapped), hidden, "map", ["png"])
         trajectories = {

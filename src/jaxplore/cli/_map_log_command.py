@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from jaxplore._signals import interrupting
+from jaxplore._signals import interrupt_on_end_signals
 
 
 def map_log_options(command: Any) -> Any:
@@ -76,5 +76,5 @@ def map_log(file: Path, out: Path | None, **options: Any) -> None:
     """
     from jaxplore.cli._map_log import MapLogOptions, map_a_log
 
-    with interrupting():
+    with interrupt_on_end_signals():
         map_a_log(file, out, MapLogOptions(**options))

@@ -32,13 +32,13 @@ from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.folder import write_whole
 from jaxplore.report.table import print_table
 from jaxplore.ros import control, goal, robot
-from jaxplore.ros.link import connected
+from jaxplore.ros.link import connect
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.node import NodeSettings
-from jaxplore.settings.ros_names import checked_namespace
+from jaxplore.settings.ros_names import check_namespace
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.monitor import Monitor
@@ -64,7 +64,7 @@ def drive(options: dict[str, Any]) -> None:
         pilot = build_pilot(settings, node)
         recording = None
         # Connected first, so that other nodes are found while it compiles.
-        link = stack.enter_context(connected(control.NODE, node.namespace))
+        link = stack.enter_context(connect(control.NODE, node.namespace))
         say("Compiling, a few seconds ...", err=True)
         pilot.prepare()
         with stop_requests() as is_stopped:
@@ -177,12 +177,12 @@ def _monitors(options: dict[str, Any], folder: Path, stack: ExitStack) -> list[M
     wanted = {name: options[name] for name in VIEW}
     if any(each is not None for each in wanted.values()):
         # viser takes a second to import.
-        from jaxplore.cli._view import open_view, tell_recording, watching
+        from jaxplore.cli._view import monitors_of, open_view, tell_recording
 
         view = open_view(**wanted, folder=folder, began=time.time())
         stack.callback(tell_recording, view)
         stack.callback(view.close)
-        monitors += watching(view)
+        monitors += monitors_of(view)
     if options["record"] is not None:
         overwrite = options["overwrite"]
         check_recording(options["record"], overwrite=overwrite, name="--record")
@@ -197,7 +197,7 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
     The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
     """
     chooser = build_goal_chooser(settings)
-    with connected(control.NODE, node.namespace) as link, stop_requests() as is_stopped:
+    with connect(control.NODE, node.namespace) as link, stop_requests() as is_stopped:
         chosen = goal.GoalNode(link, chooser, node, settings.resolution)
         say(
             f"Choosing goals: {link.topic(node.map_topic)} and {link.topic(node.pose_topic)} to "
@@ -222,7 +222,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
     own = {name: options.pop(name) for name in names}
     namespace = options.pop("namespace")
     if namespace is not None:
-        namespace = checked_namespace("--namespace", namespace)
+        namespace = check_namespace("--namespace", namespace)
     limit = memory_limit(options)
     for name in ("delay", "drift"):
         if not 0.0 <= own[name] <= _MOST[name]:
@@ -256,7 +256,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
         mount=(x, y, math.radians(degrees)),
         is_turning=own["turning"],
     )
-    with connected(robot.NODE, namespace) as link:
+    with connect(robot.NODE, namespace) as link:
         say("Compiling, a few seconds ...", err=True)
         simulated.prepare()
         node = robot.RobotNode(

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from jaxplore._signals import interrupting
+from jaxplore._signals import interrupt_on_end_signals
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._memory import memory_option
 from jaxplore.cli._node_options import node_options, replay_options, robot_options
@@ -48,7 +48,7 @@ def node(**options: Any) -> None:
     """
     from jaxplore.cli._node import drive
 
-    with interrupting():
+    with interrupt_on_end_signals():
         drive(options)
 
 
@@ -70,7 +70,7 @@ def replay(bag: Path, **options: Any) -> None:
     """
     from jaxplore.cli._node import replay_bag
 
-    with interrupting():
+    with interrupt_on_end_signals():
         replay_bag(bag, options)
 
 
@@ -99,5 +99,5 @@ def robot(**options: Any) -> None:
     """
     from jaxplore.cli._node import simulate_robot
 
-    with interrupting():
+    with interrupt_on_end_signals():
         simulate_robot(options)

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from jaxplore.cli._completion import complete_assignment, complete_map, values_of
-from jaxplore.cli._known import known
+from jaxplore.cli._known import load_known
 
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ("--seed", "seed", int, "Seed of all random numbers."),
@@ -25,8 +25,9 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
         "--architecture",
         "architecture",
         str,
-        f"explorer, portfolio, or a baseline: {', '.join(known().baselines)}; two-layer, parallel, "
-        "sequential, random-walk, goal, by default for quadrotors. Or MODULE:NAME of your own.",
+        f"explorer, portfolio, or a baseline: {', '.join(load_known().baselines)}; two-layer, "
+        "parallel, sequential, random-walk, goal, by default for quadrotors. Or "
+        "MODULE:NAME of your own.",
     ),
     ("--radius", "robot.radius", float, "Radius of the robot [m]."),
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),
@@ -105,7 +106,7 @@ def with_options(*without: str) -> Callable[[Any], Any]:
     for flag, setting, kind, text in _OPTIONS:
         if setting in without:
             continue
-        ground, flying = known().settings[setting]
+        ground, flying = load_known().settings[setting]
         value = f"{ground}" if ground == flying else f"{ground}; {flying} for quadrotors"
         name, text = setting.replace(".", "__"), f"{text}  [default: {value}]"
         complete = values_of(setting) if kind is str else None

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from jaxplore.cli._known import known
+from jaxplore.cli._known import load_known
 
 
 def picture_options(animation: str, *, video: bool = False) -> Callable[[Any], Any]:
@@ -20,19 +20,19 @@ def picture_options(animation: str, *, video: bool = False) -> Callable[[Any], A
             "--fps",
             type=float,
             help="Frames per second of playback; the film shows how many times as fast as the run "
-            f"it plays.  [default: {known().fps:g}]",
+            f"it plays.  [default: {load_known().fps:g}]",
         ),
         click.option(
             "--film-scale",
             type=float,
-            help=f"Factor on the size of films, 0.5 to 4.  [default: {known().film_scale:g}]",
+            help=f"Factor on the size of films, 0.5 to 4.  [default: {load_known().film_scale:g}]",
         ),
         click.option(
             "--figures",
-            default=known().figures[0],
+            default=load_known().figures[0],
             show_default=True,
             metavar="FORMAT,FORMAT",
-            help=f"Formats of figures: {', '.join(known().figures)}.",
+            help=f"Formats of figures: {', '.join(load_known().figures)}.",
         ),
     ]
     if video:

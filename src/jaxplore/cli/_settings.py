@@ -1,10 +1,10 @@
 """`jaxplore settings`: prints defaults as YAML, or what is known of a setting or a section."""
 
-from jaxplore.cli._known import known
+from jaxplore.cli._known import load_known
 from jaxplore.cli._terminal import say
 from jaxplore.parameters import nearest
 from jaxplore.report.table import print_table
-from jaxplore.settings.commented import commented_yaml
+from jaxplore.settings.commented import to_commented_yaml
 from jaxplore.settings.exploration import OFFICE
 from jaxplore.settings.reference import (
     KINDS,
@@ -36,14 +36,15 @@ def show_settings(name: str | None) -> None:
     printed. The error for an unknown name has the nearest ones.
     """
     if name is None or name in PLACES:
-        say(commented_yaml(place_settings(name or OFFICE)), nl=False)
+        say(to_commented_yaml(place_settings(name or OFFICE)), nl=False)
         return
     found = find_rows(name)
     if not found:
         # A message is short, however long the name is.
         shown = name if len(name) <= _MOST_SHOWN else name[:_MOST_SHOWN] + "..."
         raise ValueError(
-            f"setting {shown!r} is not known; accepted: such as {nearest(shown, known().names)}"
+            f"setting {shown!r} is not known; accepted: such as "
+            f"{nearest(shown, load_known().names)}"
         )
     for task in KINDS:
         rows = [row for row in found if row.task == task]

@@ -11,8 +11,8 @@ from jaxplore._exit import INTERRUPTED
 from jaxplore._signals import is_ending
 from jaxplore.cli._pictures import Pictures
 from jaxplore.cli._terminal import say
-from jaxplore.report.folder import is_reserved, reserved_folder
-from jaxplore.report.table import print_table, transposed
+from jaxplore.report.folder import is_reserved, reserve_folder
+from jaxplore.report.table import print_table, transpose
 from jaxplore.settings.reference import why_unread
 from jaxplore.settings.sections import RunSettings, Section
 from jaxplore.simulation.run import Run
@@ -31,8 +31,8 @@ def free_name(path: Path) -> Path:
 
 
 def reserve(folder: Path, *, overwrite: bool) -> None:
-    """Keep other processes from a run folder to the command's end, see `reserved_folder`."""
-    click.get_current_context().with_resource(reserved_folder(folder, overwrite=overwrite))
+    """Keep other processes from a run folder to the command's end, see `reserve_folder`."""
+    click.get_current_context().with_resource(reserve_folder(folder, overwrite=overwrite))
 
 
 def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) -> None:
@@ -119,7 +119,7 @@ def show_comparison(comparison: Comparison, folder: Path) -> None:
     """Print the table of a comparison, and its files; exit if it was interrupted."""
     # Transposed, one column for each variant: the rows would be too wide for a terminal.
     say(f"{folder}: medians [quartiles]")
-    print_table(transposed(comparison.rows()))
+    print_table(transpose(comparison.rows()))
     for path in sorted(folder.iterdir()):
         say(str(path))
     if comparison.is_interrupted:

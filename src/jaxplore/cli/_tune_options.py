@@ -5,7 +5,7 @@ from typing import Any
 import click
 
 from jaxplore.cli._completion import complete_map, complete_setting, words
-from jaxplore.cli._known import known
+from jaxplore.cli._known import load_known
 
 OWN = (
     "tuned",
@@ -47,7 +47,7 @@ _OPTIONS = (
     click.option(
         "--population",
         type=int,
-        default=known().population,
+        default=load_known().population,
         show_default=True,
         help="Number of candidates in a generation.",
     ),
@@ -66,8 +66,8 @@ _OPTIONS = (
         default="tpe",
         show_default=True,
         metavar="NAME",
-        shell_complete=words(known().optimizers),
-        help=f"One of {', '.join(known().optimizers)}.",
+        shell_complete=words(load_known().optimizers),
+        help=f"One of {', '.join(load_known().optimizers)}.",
     ),
     click.option(
         "--objective",

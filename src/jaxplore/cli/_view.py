@@ -53,7 +53,7 @@ def open_view(
     return opened
 
 
-def watching(view: LiveView) -> list[Monitor]:
+def monitors_of(view: LiveView) -> list[Monitor]:
     """Return the monitors of a run that a view shows: the view, and the recorder of its button."""
     return [view] if view.recorder is None else [view, view.recorder]
 
@@ -80,7 +80,7 @@ def run_viewed(
     could not be written raises a `ValueError` when the run is saved.
     """
     changed: dict[str, float | list[float]] = {}
-    shown: list[Monitor] = watching(view)
+    shown: list[Monitor] = monitors_of(view)
     monitors = shown if recorder is None else [*shown, recorder]
     while True:
         experiment = build(settings)
@@ -92,10 +92,10 @@ def run_viewed(
         monitors = shown
         tell_recording(view)
         changed.update(run.parameters)
-        seed = view.asked_seed()
+        seed = view.seed_request()
         if seed is None:
             _show_changes(get_parameters(experiment.controller), changed)
-            kept = _changed(settings, controller, changed)
+            kept = _with_changes(settings, controller, changed)
             save(run, folder, kept, pictures, overwrite=overwrite)
             if recorder is not None and recorder.failure is not None:
                 raise ValueError(recorder.failure)
@@ -132,7 +132,7 @@ def _wait(view: LiveView) -> int | None:
         return None
 
 
-def _changed(settings: RunSettings, controller: Any, changed: Values) -> RunSettings:
+def _with_changes(settings: RunSettings, controller: Any, changed: Values) -> RunSettings:
     """Return settings with the parameters that were changed during the run."""
     # A path may be abbreviated: an old value must not override a new one.
     others = {

@@ -33,7 +33,7 @@ from jaxplore.control.interpolation import ZeroOrderHold as ZeroOrderHold
 from jaxplore.control.knots import Knots as Knots
 from jaxplore.control.latency import LatencyCompensation as LatencyCompensation
 from jaxplore.control.latency import LatencyState as LatencyState
-from jaxplore.control.latency import predicted_state as predicted_state
+from jaxplore.control.latency import predict_state as predict_state
 from jaxplore.control.mixtures import BiasedProposal as BiasedProposal
 from jaxplore.control.mixtures import InjectedProposal as InjectedProposal
 from jaxplore.control.mppi import MPPI as MPPI

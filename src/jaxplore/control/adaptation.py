@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Scalar
-from jaxplore.control.parameterisations import Parameters, Samples, shifted
+from jaxplore.control.parameterisations import Parameters, Samples, shift_sequence
 
 
 class CovarianceAdaptation(eqx.Module):
@@ -45,7 +45,7 @@ class CovarianceAdaptation(eqx.Module):
         if not _kinds.is_traced(floor, ceiling) and self.ceiling < self.floor:
             raise ValueError(f"ceiling is {ceiling!r}; accepted: at least the floor, {floor!r}")
 
-    def adapted(self, scale: Parameters, weights: Float[Array, " K"], away: Samples) -> Parameters:
+    def adapt(self, scale: Parameters, weights: Float[Array, " K"], away: Samples) -> Parameters:
         """Compute the new scale (P, nu).
 
         Args:
@@ -59,7 +59,7 @@ class CovarianceAdaptation(eqx.Module):
         square = (1.0 - rate) * scale * scale + self.rate * spread
         return jnp.clip(jnp.sqrt(square), self.floor, self.ceiling)
 
-    def shifted(self, scale: Parameters, rows: Scalar) -> Parameters:
+    def shift(self, scale: Parameters, rows: Scalar) -> Parameters:
         """Move the scale on by a number of rows; new rows have the given spread, s = 1."""
         fresh = jnp.clip(jnp.ones(scale.shape[1]), self.floor, self.ceiling)
-        return shifted(scale, rows, fresh)
+        return shift_sequence(scale, rows, fresh)

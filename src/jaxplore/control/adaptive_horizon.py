@@ -12,8 +12,8 @@ from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateV
 from jaxplore.belief.belief import part
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.evaluation import evaluate_samples
-from jaxplore.control.inspection import sampled_plan
-from jaxplore.control.model_checks import checked_call
+from jaxplore.control.inspection import roll_out_plan
+from jaxplore.control.model_checks import check_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState, SampledControls
 from jaxplore.dynamics.base import Dynamics, State
@@ -181,7 +181,7 @@ class AdaptiveHorizon(Controller):
         self, state: MPPIState, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, MPPIState, Info]:
         """Choose a horizon, and plan within it."""
-        sampled, costs, _ = self._planned(state, observation, belief, key)
+        sampled, costs, _ = self._sample_within_horizon(state, observation, belief, key)
         return self.controller.update(sampled, costs)
 
     def inspect(
@@ -195,17 +195,17 @@ class AdaptiveHorizon(Controller):
     ) -> SampledPlan:
         """Return the trajectories that `step` samples, in their whole length T."""
         wanted = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
-        sampled, costs, observation = self._planned(state, observation, belief, key)
+        sampled, costs, observation = self._sample_within_horizon(state, observation, belief, key)
         _, _, info = self.controller.update(sampled, costs)
         inner = self.controller
         parts, known = (inner.dynamics, inner.cost), (inner.dt, belief)
-        return sampled_plan(*parts, sampled, info, observation, *known, wanted)
+        return roll_out_plan(*parts, sampled, info, observation, *known, wanted)
 
-    def _planned(
+    def _sample_within_horizon(
         self, state: MPPIState, observation: StateVector, belief: Any, key: Key
     ) -> tuple[SampledControls, Float[Array, " K"], StateVector]:
         """Return the samples within the horizon, their costs, and the checked observation."""
-        observation = checked_call(self.dynamics, state, MPPIState, observation, key)
+        observation = check_call(self.dynamics, state, MPPIState, observation, key)
         inner, steps = self.controller, self.steps(observation, belief)
         sampled = inner.sample(state, key=key)
         context, rows = sampled.context, sampled.samples.shape[0]

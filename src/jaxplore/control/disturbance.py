@@ -261,7 +261,7 @@ class UncertainObstacles(Disturbance):
 
     def belief(self, belief: Any, drawn: Any) -> Any:
         """Return the belief with the drawn obstacles."""
-        obstacles = part(belief, "obstacles").drawn(drawn[0])
+        obstacles = part(belief, "obstacles").sample(drawn[0])
         return eqx.tree_at(lambda known: known.obstacles, belief, obstacles)
 
     def check(self, dynamics: Dynamics, num_outcomes: int) -> None:

@@ -11,7 +11,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.gains import step_with_gains
-from jaxplore.control.model_checks import checked_call
+from jaxplore.control.model_checks import check_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
 from jaxplore.control.trajectory import rollout
@@ -103,7 +103,7 @@ class FeedbackMPPI(Controller):
             The control (nu,), the new state, and the `Info` of the last plan.
         """
         model = self.planner.dynamics
-        observation = checked_call(model, state, FeedbackState, observation, key)
+        observation = check_call(model, state, FeedbackState, observation, key)
         state = jax.lax.cond(
             state.commands % self.commands_per_plan == 0,
             lambda: self._plan(state, observation, belief, key),
@@ -127,7 +127,7 @@ class FeedbackMPPI(Controller):
     ) -> SampledPlan:
         """Return the trajectories of the planner as if it planned now."""
         model = self.planner.dynamics
-        observation = checked_call(model, state, FeedbackState, observation, key)
+        observation = check_call(model, state, FeedbackState, observation, key)
         return self.planner.inspect(
             state.planner, observation, belief, key=key, num_trajectories=num_trajectories
         )

@@ -13,7 +13,7 @@ from jaxplore._alike import Alike
 from jaxplore._trees import with_field
 from jaxplore._types import ArrayLike, ControlVector, Key, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.fleet_share import Share, checked_share
+from jaxplore.control.fleet_share import Share, check_share
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.dynamics.formation import Formation
 
@@ -90,7 +90,7 @@ class FleetController(Controller):
         Raises:
             ValueError: controllers that are not all equal, or one alone.
         """
-        checked_share(share, self.own.kinds, "controllers")
+        check_share(share, self.own.kinds, "controllers")
         return with_field(self, "share", share)
 
     @property
@@ -100,7 +100,7 @@ class FleetController(Controller):
 
     def init(self) -> tuple[Any, ...]:
         """Return the initial state of each controller."""
-        return tuple(each.init() for each in self.share.own(self.controllers))
+        return tuple(each.init() for each in self.share.select(self.controllers))
 
     def at_period(self, control_period: ArrayLike) -> "FleetController":
         """Return a copy of this controller that is called every `control_period` seconds."""
@@ -132,9 +132,9 @@ class FleetController(Controller):
         here = self.own.at(self.share.mine)
         found = here.each(control, *rows, is_large=True)
         states = [memory for _, memory, _ in found]
-        told = self.share.gathered([(command, info) for command, _, info in found])
+        told = self.share.gather([(command, info) for command, _, info in found])
         controls, infos = zip(*told, strict=True)
-        return jnp.concatenate(controls), tuple(states), _joined(infos)
+        return jnp.concatenate(controls), tuple(states), _join(infos)
 
     def inspect(
         self,
@@ -159,11 +159,11 @@ class FleetController(Controller):
 
         # A plan is inspected for a frame, which is rare: one body compiles sooner.
         here = self.own.at(self.share.mine)
-        plans = self.share.gathered(here.each(plan, *self._rows(state, observation, belief, key)))
+        plans = self.share.gather(here.each(plan, *self._rows(state, observation, belief, key)))
         return SampledPlan(
             _side_by_side([each.nominal for each in plans]),
             _side_by_side([each.best for each in plans]),
-            _cut_and_joined([each.samples for each in plans], 1),
+            _cut_and_join([each.samples for each in plans], 1),
             jnp.mean(jnp.stack([each.weights for each in plans]), axis=0),
         )
 
@@ -171,17 +171,17 @@ class FleetController(Controller):
         self, state: tuple[Any, ...], observation: StateVector, belief: FleetBelief, key: Key
     ) -> tuple[Sequence[Any], ...]:
         """Return the states, observations, beliefs and keys of the robots of this process."""
-        observed = self.share.own(self.formation.split_state(observation))
-        keys = self.share.own(robot_keys(key, belief.identity))
+        observed = self.share.select(self.formation.split_state(observation))
+        keys = self.share.select(robot_keys(key, belief.identity))
         return state, observed, belief.robots, keys
 
 
-def _joined(infos: Sequence[Info]) -> Info:
+def _join(infos: Sequence[Info]) -> Info:
     if len(infos) == 1:
         return infos[0]._replace(members=None, log_ratio=None)
     number = len(infos)
     return Info(
-        controls=_cut_and_joined([each.controls for each in infos], 0),
+        controls=_cut_and_join([each.controls for each in infos], 0),
         weights=jnp.concatenate([each.weights for each in infos]) / number,
         costs=jnp.concatenate([each.costs for each in infos]),
         effective_sample_size=jnp.mean(jnp.stack([each.effective_sample_size for each in infos])),
@@ -194,11 +194,11 @@ def _side_by_side(trajectories: Sequence[Trajectory]) -> Trajectory:
     for each in trajectories:
         for name, paid in each.terms.items():
             terms[name] = terms.get(name, jnp.zeros(())) + paid
-    states = _cut_and_joined([each.states for each in trajectories], 0)
-    return Trajectory(states, _cut_and_joined([each.controls for each in trajectories], 0), terms)
+    states = _cut_and_join([each.states for each in trajectories], 0)
+    return Trajectory(states, _cut_and_join([each.controls for each in trajectories], 0), terms)
 
 
-def _cut_and_joined(arrays: Sequence[Array], time_axis: int) -> Array:
+def _cut_and_join(arrays: Sequence[Array], time_axis: int) -> Array:
     """Join arrays of states or controls along their last axis, as far as the shortest reaches."""
     shortest = min(each.shape[time_axis] for each in arrays)
     cut = [jax.lax.slice_in_dim(each, 0, shortest, axis=time_axis) for each in arrays]

@@ -39,11 +39,11 @@ class Share(eqx.Module):
         """Whether all robots are here."""
         return self.meet is None
 
-    def own[T](self, things: Sequence[T]) -> tuple[T, ...]:
+    def select[T](self, things: Sequence[T]) -> tuple[T, ...]:
         """Return the things of the own robots, of those of all."""
         return tuple(things[i] for i in self.mine)
 
-    def gathered(self, rows: Sequence[Any]) -> list[Any]:
+    def gather(self, rows: Sequence[Any]) -> list[Any]:
         """Return one pytree of each robot, from those of the own robots; traced.
 
         All have the same structure and shapes.
@@ -66,14 +66,14 @@ class Share(eqx.Module):
             jax.tree.unflatten(structure, [leaf[i] for leaf in found]) for i in range(self.number)
         ]
 
-    def gathered_here(self, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def gather_on_host(self, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Return one array of each robot, from those of the own robots; on the host."""
         if self.meet is None:
             return list(arrays)
         return list(self.meet([np.stack(arrays)])[0])
 
 
-def checked_share(share: Share, kinds: Sequence[Any], name: str) -> None:
+def check_share(share: Share, kinds: Sequence[Any], name: str) -> None:
     """Check that several processes can compute the robots: two or more, and all equal.
 
     `kinds` are the distinct things of the robots; the message calls them `name`.

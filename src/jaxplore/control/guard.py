@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Scalar, StateVector, Twist
-from jaxplore.control.latency import predicted_state
+from jaxplore.control.latency import predict_state
 from jaxplore.control.plausibility import (
     JUMP_SECONDS,
     MAX_AGE,
@@ -126,7 +126,7 @@ class MotionGuard(eqx.Module):
     The delay of the commands is estimated. One model step from the last state under each of the
     last N commands predicts the present speeds, and the delay with the least error, averaged over
     0.3 s, is taken if it explains the motion four times better than the known one does. The
-    controller then plans from the state in which its command takes effect, `predicted_state`.
+    controller then plans from the state in which its command takes effect, `predict_state`.
 
     A command is checked against the newest scan (`keep_clear`): it is replaced by one that brakes
     if the robot could not stand after it without coming too close to what the scan has met.
@@ -246,7 +246,7 @@ class MotionGuard(eqx.Module):
         is_better = state.errors[best] < BETTER * (at_known - NOISE)
         return jnp.where(is_better & (best > known), best, known)
 
-    def ahead(
+    def predict(
         self, robot: Dynamics, state: GuardState, known: Count, period: Scalar
     ) -> StateVector:
         """Return the state (nx,) from which the controller plans: that in which its command takes
@@ -262,7 +262,7 @@ class MotionGuard(eqx.Module):
         age = number - jnp.arange(number)
         is_due = (age <= self.delay(state, known)) & (age > known)
         durations = jnp.where(is_due, period, 0.0)
-        return predicted_state(robot, state.expected, state.commands, durations, period)
+        return predict_state(robot, state.expected, state.commands, durations, period)
 
     def keep_clear(
         self,
@@ -299,7 +299,7 @@ class MotionGuard(eqx.Module):
         )
         return kept
 
-    def sent(self, robot: Dynamics, state: GuardState, control: ControlVector) -> GuardState:
+    def add_command(self, robot: Dynamics, state: GuardState, control: ControlVector) -> GuardState:
         """Note a command that was sent; NaN where the robot was told to brake."""
         # The next plan is made when the robot is at rest, where the default control keeps it.
         control = jnp.where(jnp.isfinite(control), control, robot.default_control)
@@ -322,11 +322,11 @@ class MotionGuard(eqx.Module):
             scan: the newest scan.
             period: control period [s].
         """
-        there = self._placed(robot, state, measured)
+        there = self._place(robot, state, measured)
         nothing = jnp.full(robot.control_size, jnp.nan)
         return self.check(robot, there, nothing, period, scan.points, scan.is_point).control
 
-    def moved(
+    def advance(
         self,
         robot: Dynamics,
         state: GuardState,
@@ -347,14 +347,14 @@ class MotionGuard(eqx.Module):
         is_good = state.stop == GOOD
         delay = self.delay(state, jnp.zeros((), jnp.int32))
         due = state.commands[state.commands.shape[0] - 1 - delay]
-        begin = jnp.where(is_good, state.expected, self._placed(robot, state, measured))
+        begin = jnp.where(is_good, state.expected, self._place(robot, state, measured))
         after = robot.step(begin, jnp.where(is_good, due, control), period)
         moved = robot.pose(after) - robot.pose(begin)
         turn = jnp.arctan2(jnp.sin(moved[2]), jnp.cos(moved[2]))
         velocity = moved.at[2].set(turn) / period
         return state._replace(expected=after, velocity=velocity)
 
-    def _placed(self, robot: Dynamics, state: GuardState, measured: StateVector) -> StateVector:
+    def _place(self, robot: Dynamics, state: GuardState, measured: StateVector) -> StateVector:
         """Return the expected pose with the speeds and the attitude that the base measures."""
         is_pose = jnp.asarray([name in _POSE for name in robot.state_names])
         return jnp.where(is_pose, state.expected, measured)

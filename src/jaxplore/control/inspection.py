@@ -15,7 +15,7 @@ from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics
 
 
-def sampled_plan(
+def roll_out_plan(
     dynamics: Dynamics,
     cost: Cost,
     sampled: SampledControls,
@@ -30,7 +30,7 @@ def sampled_plan(
     All start at `observation` (nx,), with the model step `dt` [s]. The others are at most
     `num_trajectories` samples.
     """
-    chosen = shown_samples(sampled.controls.shape[-1], num_trajectories)
+    chosen = choose_samples(sampled.controls.shape[-1], num_trajectories)
 
     def simulate(controls: Array) -> Trajectory:
         return rollout(
@@ -43,7 +43,7 @@ def sampled_plan(
     return SampledPlan.from_trajectories(jax.vmap(simulate)(shown), info.weights[chosen])
 
 
-def shown_samples(num_samples: int, most: int) -> np.ndarray:
+def choose_samples(num_samples: int, most: int) -> np.ndarray:
     """Return the numbers of the samples that are shown, at most `most`, at even distances.
 
     A mixture orders its samples by component, so the first few would show one component only.

@@ -14,14 +14,14 @@ from jaxplore._limits import MOST_DELAY
 from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.model_checks import checked_call
+from jaxplore.control.model_checks import check_call
 from jaxplore.dynamics.base import Dynamics
 
 ROUNDING = 1e-3
 """Share of a step by which a whole number of float32 steps may seem to exceed itself."""
 
 
-def predicted_state(
+def predict_state(
     dynamics: Dynamics,
     state: StateVector,
     controls: Float[Array, "N nu"],
@@ -71,7 +71,7 @@ class LatencyCompensation(Controller):
 
     A command takes effect `latency` seconds after the state was observed that it was computed from.
     Until then the robot moves under the commands that are on their way. The state is predicted
-    under them, `predicted_state`, and the inner controller plans from there. Moving obstacles of a
+    under them, `predict_state`, and the inner controller plans from there. Moving obstacles of a
     `Belief` are predicted to the same time.
 
     The oldest command on its way is held for what is left of its period, so a latency need not be a
@@ -149,7 +149,7 @@ class LatencyCompensation(Controller):
         self, state: LatencyState, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, LatencyState, Info]:
         """Predict the state in which the command takes effect, and plan from there."""
-        ahead, later = self._ahead(state, observation, belief, key)
+        ahead, later = self._predict(state, observation, belief, key)
         control, memory, info = self.controller.step(state.controller, ahead, later, key=key)
         queue = jnp.concatenate([state.commands, control[None]])
         return control, LatencyState(memory, queue[queue.shape[0] - self.num_pending :]), info
@@ -164,18 +164,18 @@ class LatencyCompensation(Controller):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return the trajectories of the inner controller, from the predicted state on."""
-        ahead, later = self._ahead(state, observation, belief, key)
+        ahead, later = self._predict(state, observation, belief, key)
         return self.controller.inspect(
             state.controller, ahead, later, key=key, num_trajectories=num_trajectories
         )
 
-    def _ahead(
+    def _predict(
         self, state: LatencyState, observation: StateVector, belief: Any, key: Key
     ) -> tuple[StateVector, Any]:
         """Return the state and the belief at the time when the coming command takes effect."""
-        observation = checked_call(self.robot, state, LatencyState, observation, key)
+        observation = check_call(self.robot, state, LatencyState, observation, key)
         if isinstance(belief, Belief) and belief.obstacles is not None:
-            later = belief.obstacles.after(self.latency)
+            later = belief.obstacles.advance(self.latency)
             belief = dataclasses.replace(belief, obstacles=later)
         if self.num_pending == 0:
             return observation, belief
@@ -183,5 +183,5 @@ class LatencyCompensation(Controller):
         rest = self.latency - (self.num_pending - 1) * period
         durations = jnp.full((self.num_pending,), period).at[0].set(rest)
         # One model step per period, like the closed loop that the model belongs to.
-        ahead = predicted_state(self.robot, observation, state.commands, durations, period)
+        ahead = predict_state(self.robot, observation, state.commands, durations, period)
         return ahead, belief

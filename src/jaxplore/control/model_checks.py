@@ -29,7 +29,7 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
         bound = getattr(dynamics, name)
         if not isinstance(bound, (Array, np.ndarray)):
             raise ValueError(
-                f"{name} of {type(dynamics).__name__} is {_kinds.described(bound)}; accepted: an "
+                f"{name} of {type(dynamics).__name__} is {_kinds.describe(bound)}; accepted: an "
                 f"array of shape ({size},), such as jax.numpy.array([...])"
             )
         if jnp.shape(bound) != (size,):
@@ -55,7 +55,7 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
     )
     if not hasattr(reached, "shape"):
         raise ValueError(
-            f"step of {type(dynamics).__name__} returns {_kinds.described(reached)}; accepted: "
+            f"step of {type(dynamics).__name__} returns {_kinds.describe(reached)}; accepted: "
             f"an array of shape ({dynamics.state_size},), such as jax.numpy.stack([...])"
         )
     check_state(dynamics, reached.shape)
@@ -84,7 +84,7 @@ def _structure(*parts: Any) -> Hashable | None:
     return found
 
 
-def checked_call(
+def check_call(
     dynamics: Dynamics, state: Any, kind: type, observation: Any, key: Any
 ) -> StateVector:
     """Check the arguments of a controller's `step`, and return the observed state as an array.
@@ -137,12 +137,12 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
         }
         for method, call in calls.items():
 
-            def paid_with(x: Any, u: Any, us: Any, t: Any, known: Any, call: Any = call) -> Any:
+            def evaluate_with(x: Any, u: Any, us: Any, t: Any, known: Any, call: Any = call) -> Any:
                 return call(x, u, us, t, eqx.combine(known, others))
 
-            paid = jax.eval_shape(paid_with, values, control, controls, number, arrays)
+            paid = jax.eval_shape(evaluate_with, values, control, controls, number, arrays)
             if not hasattr(paid, "shape"):
-                given = _kinds.described(paid)
+                given = _kinds.describe(paid)
                 raise ValueError(f"{method} of {name} returns {given}; accepted: one number")
             if paid.shape != ():
                 raise ValueError(

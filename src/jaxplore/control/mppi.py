@@ -16,9 +16,9 @@ from jaxplore.control import devices
 from jaxplore.control.base import Info, ModelBasedController, SampledPlan
 from jaxplore.control.disturbance import Disturbance
 from jaxplore.control.evaluation import evaluate_samples
-from jaxplore.control.inspection import sampled_plan
-from jaxplore.control.model_checks import check_parts, checked_call
-from jaxplore.control.mppi_state import MPPIState, SampledControls, shifted_state
+from jaxplore.control.inspection import roll_out_plan
+from jaxplore.control.model_checks import check_call, check_parts
+from jaxplore.control.mppi_state import MPPIState, SampledControls, shift_state
 from jaxplore.control.parameterisations import ControlSpace, Direct, Parameterisation, Samples
 from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
 from jaxplore.control.risk import MeanVariance, Risk
@@ -183,7 +183,7 @@ class MPPI(ModelBasedController):
         if controls is None:
             controls = jnp.broadcast_to(space.default, (self.horizon, size))
         accepted = f"({self.horizon}, {size}), a control for each step of the horizon"
-        controls = _checks.shaped("controls", controls, (self.horizon, size), accepted=accepted)
+        controls = _checks.of_shape("controls", controls, (self.horizon, size), accepted=accepted)
         history = 0 if self.smoothing is None else self.smoothing.history
         return MPPIState(
             nominal=self.parameterisation.init(controls, space),
@@ -244,7 +244,7 @@ class MPPI(ModelBasedController):
         Raises:
             ValueError: as of `Controller.step`.
         """
-        observation = checked_call(self.dynamics, state, MPPIState, observation, key)
+        observation = check_call(self.dynamics, state, MPPIState, observation, key)
         sampled = self.sample(state, key=key, perturbations=perturbations, shift=shift)
         return self.update(sampled, self.evaluate(sampled, observation, belief))
 
@@ -365,17 +365,17 @@ class MPPI(ModelBasedController):
             key: as of `step`; the same key gives the same samples.
             num_trajectories: number of the K samples to return, taken at even distances.
         """
-        observation = checked_call(self.dynamics, state, MPPIState, observation, key)
+        observation = check_call(self.dynamics, state, MPPIState, observation, key)
         wanted = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
         sampled = self.sample(state, key=key)
         costs = self.evaluate(sampled, observation, belief)
         _, _, info = self.update(sampled, costs)
         parts, known = (self.dynamics, self.cost), (self.dt, belief)
-        return sampled_plan(*parts, sampled, info, observation, *known, wanted)
+        return roll_out_plan(*parts, sampled, info, observation, *known, wanted)
 
     def _shift(self, state: MPPIState) -> MPPIState:
         """Move the nominal and the memory on by one control period."""
-        return shifted_state(
+        return shift_state(
             state,
             self.control_period / self.dt,
             self._space,

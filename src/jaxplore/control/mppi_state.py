@@ -7,7 +7,12 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore._types import ControlVector, Scalar
-from jaxplore.control.parameterisations import ControlSpace, Parameterisation, Samples, shifted
+from jaxplore.control.parameterisations import (
+    ControlSpace,
+    Parameterisation,
+    Samples,
+    shift_sequence,
+)
 from jaxplore.control.proposals import Proposal, SamplingContext
 from jaxplore.control.rollout import Outcomes
 
@@ -51,7 +56,7 @@ class SampledControls(NamedTuple):
     outcomes: Outcomes | None
 
 
-def shifted_state(
+def shift_state(
     state: MPPIState,
     steps: Scalar,
     space: ControlSpace,
@@ -81,6 +86,6 @@ def shifted_state(
         nominal=parameterisation.shift(state.nominal, steps, space),
         proposal=proposal.shift(state.proposal, rows),
         applied=state.applied,
-        past=shifted(timeline, steps, space.default)[: state.past.shape[0]],
+        past=shift_sequence(timeline, steps, space.default)[: state.past.shape[0]],
         phase=phase,
     )

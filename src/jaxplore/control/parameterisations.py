@@ -136,10 +136,10 @@ class Direct(Parameterisation):
 
     def shift(self, nominal: Sequence, steps: Scalar, space: ControlSpace) -> Sequence:
         """Return the shifted controls, extended by the default control."""
-        return shifted(nominal, steps, space.default)
+        return shift_sequence(nominal, steps, space.default)
 
 
-def shifted(sequence: Sequence, steps: Scalar, after: ControlVector) -> Sequence:
+def shift_sequence(sequence: Sequence, steps: Scalar, after: ControlVector) -> Sequence:
     """Return a sequence (T, nu) shifted by a number of steps, interpolated linearly.
 
     The number may be a fraction. The row `after` (nu,) extends the sequence.

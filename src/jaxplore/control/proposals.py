@@ -254,11 +254,11 @@ class GaussianProposal(Proposal):
         if self.adaptation is None:
             return memory
         away = (samples - context.centre[:, :, None]) / self._deviation[:, None]
-        return self.adaptation.adapted(memory, weights, away)
+        return self.adaptation.adapt(memory, weights, away)
 
     def shift(self, memory: Any, rows: Scalar) -> Any:
         """Move the scale on in time, if it adapts."""
-        return memory if self.adaptation is None else self.adaptation.shifted(memory, rows)
+        return memory if self.adaptation is None else self.adaptation.shift(memory, rows)
 
     def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
         """Raise a `ValueError` if the noise does not fit a controller of these sizes."""

@@ -152,7 +152,7 @@ def _totals(
     start = tuple(jnp.broadcast_to(value, state_shape) for value in initial)
     times = dt * jnp.arange(1, horizon + 1, dtype=dt.dtype)
     zeros = tuple(jnp.zeros(shape) for _ in costs), tuple(jnp.zeros(lanes) for _ in costs)
-    step_all = task.batched_step()
+    step_all = task.batch_step()
 
     def advance(carry: _Carry, inputs: tuple[Array, Array, Any]) -> tuple[_Carry, None]:
         components, totals, variations = carry
@@ -252,7 +252,7 @@ class _RolloutTask(NamedTuple):
         paid = tuple(self.number(cost, cost.stage, here, control, t, known) for cost in self.costs)
         return reached, paid
 
-    def batched_step(self) -> Callable[..., Any]:
+    def batch_step(self) -> Callable[..., Any]:
         """Map `step` over samples (last axis) and, if there are any, outcomes (first axis)."""
         step = jax.vmap(self.step, in_axes=(0, -1, None, None), out_axes=(-1, 0))
         if self.outcomes is None:

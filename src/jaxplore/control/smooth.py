@@ -13,7 +13,7 @@ from jaxplore.control.parameterisations import (
     Parameters,
     Samples,
     Sequence,
-    shifted,
+    shift_sequence,
 )
 
 
@@ -73,7 +73,7 @@ class Smooth(Parameterisation):
         """Return the clipped controls, and the effective rates that lead to them."""
         # Return the rates that the clipped controls correspond to, not those drawn: their average
         # is then unbiased at the bounds.
-        rates = self._bounded(samples)
+        rates = self._bound(samples)
         base = nominal.controls[:, :, None]
         controls = space.clip_samples(base + space.dt * rates)
         return controls, (controls - base) / space.dt
@@ -95,11 +95,11 @@ class Smooth(Parameterisation):
     def shift(self, nominal: SmoothNominal, steps: Scalar, space: ControlSpace) -> SmoothNominal:
         """Return rates and controls shifted in time; the last control is held."""
         return SmoothNominal(
-            shifted(nominal.rates, steps, jnp.zeros_like(space.default)),
-            shifted(nominal.controls, steps, nominal.controls[-1]),
+            shift_sequence(nominal.rates, steps, jnp.zeros_like(space.default)),
+            shift_sequence(nominal.controls, steps, nominal.controls[-1]),
         )
 
-    def _bounded(self, rates: Samples) -> Samples:
+    def _bound(self, rates: Samples) -> Samples:
         if self.max_rate is None:
             return rates
         return jnp.clip(rates, -self.max_rate, self.max_rate)

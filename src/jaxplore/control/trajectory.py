@@ -89,9 +89,9 @@ def step_costs(
     """
     times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=dt.dtype)
 
-    def paid(state: Array, control: Array, t: Array) -> Array:
+    def evaluate(state: Array, control: Array, t: Array) -> Array:
         return cost.stage(State(state, dynamics, control), control, t, belief)
 
     ending = cost.terminal(State(states[-1], dynamics, controls[-1]), belief)
     ending = ending + cost.sequence(controls, applied, dt, dynamics)
-    return jax.vmap(paid)(states, controls, times).at[-1].add(ending)
+    return jax.vmap(evaluate)(states, controls, times).at[-1].add(ending)

@@ -95,10 +95,10 @@ class AdaptiveSoftmax(Weighting):
 
     def weights(self, costs: Costs, log_ratio: Costs) -> Weights:
         """Compute the weights (K,)."""
-        chosen = self.chosen_temperature(costs, log_ratio)
+        chosen = self.choose_temperature(costs, log_ratio)
         return _softmax(costs, chosen, _tilt(self.importance, log_ratio))
 
-    def chosen_temperature(self, costs: Costs, log_ratio: Costs) -> Scalar:
+    def choose_temperature(self, costs: Costs, log_ratio: Costs) -> Scalar:
         """Find the temperature at which these costs have the wanted effective sample size, or the
         least one if that is higher."""
         is_finite = jnp.isfinite(costs)

@@ -23,7 +23,7 @@ def levers(state: State) -> tuple[Lever, ...]:
     return tuple((ahead * cos, ahead * sin) for ahead in footprint.offsets)
 
 
-def shifted(components: tuple[Scalar, ...], lever: Lever) -> tuple[Scalar, ...]:
+def add_lever(components: tuple[Scalar, ...], lever: Lever) -> tuple[Scalar, ...]:
     """Add an offset to a vector; a third component, the height, does not change."""
     # `zip` stops at the shorter vector: the lever of a single disc is empty, and none has a height.
     moved = tuple(a + b for a, b in zip(components, lever, strict=False))

@@ -78,14 +78,14 @@ class Cost(eqx.Module):
     def __rmul__(self, weight: ArrayLike) -> "WeightedCost":
         return self * weight
 
-    def named(self, name: str) -> "NamedCost":
+    def with_name(self, name: str) -> "NamedCost":
         """Return this cost as one term with a name, to distinguish it from others of its class."""
         return NamedCost(name, self)
 
     if not TYPE_CHECKING:  # for type checkers any attribute could be set
 
         def __setattr__(self, name: str, value: Any) -> None:
-            _kinds.annotated(self, name)
+            _kinds.check_annotation(self, name)
             super().__setattr__(name, value)
 
 
@@ -183,7 +183,7 @@ class SumCost(Cost):
 
 
 class NamedCost(Cost):
-    """A cost with a name: `ObstacleCost().named("left wall")`.
+    """A cost with a name: `ObstacleCost().with_name("left wall")`.
 
     A named sum is one term. Weights may be applied inside or outside the name.
 
@@ -206,7 +206,7 @@ class NamedCost(Cost):
         self.cost = cost
 
     def __repr__(self) -> str:
-        return f"{_in_brackets(self.cost)}.named({self.name!r})"
+        return f"{_in_brackets(self.cost)}.with_name({self.name!r})"
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the stage cost."""

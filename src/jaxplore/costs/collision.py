@@ -8,7 +8,7 @@ from jaxtyping import Array
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import Belief, part
-from jaxplore.costs._contact import Lever, contact, depth, levers, shifted
+from jaxplore.costs._contact import Lever, add_lever, contact, depth, levers
 from jaxplore.costs._many import add_up
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
@@ -74,7 +74,7 @@ class CollisionCost(Cost):
         def clearance(lever: Lever) -> Scalar:
             centre = state.position
             if lever:
-                centre = jnp.stack(shifted(tuple(centre), lever))
+                centre = jnp.stack(add_lever(tuple(centre), lever))
             distance: Scalar = field(centre)
             return distance
 
@@ -84,7 +84,7 @@ class CollisionCost(Cost):
         obstacles = belief.obstacles
         if obstacles is None:
             return total
-        points = [shifted(tuple(state.position), lever) for lever in parts]
+        points = [add_lever(tuple(state.position), lever) for lever in parts]
 
         def gap(corners: Array, radius: Scalar) -> Scalar:
             distances = [nearest(corners, radius, x, y).distance for x, y in points]
@@ -97,7 +97,7 @@ class CollisionCost(Cost):
             return inside * inside + self.reach * within * within
 
         # The reachable set grows from the present outline: the obstacle may turn at once.
-        expected, now = obstacles.predicted(t), obstacles.predicted(jnp.zeros(()))
+        expected, now = obstacles.predict(t), obstacles.predict(jnp.zeros(()))
         spreads = self.caution * obstacles.deviation(t)
         things = (expected.corners, now.corners, expected.radii, spreads, obstacles.speeds)
         return total + add_up(penalty, things)

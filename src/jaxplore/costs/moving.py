@@ -12,7 +12,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import part
 from jaxplore.belief.obstacles import Obstacles
-from jaxplore.costs._contact import contact, depth, levers, shifted
+from jaxplore.costs._contact import add_lever, contact, depth, levers
 from jaxplore.costs._many import add_up, least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
@@ -122,19 +122,19 @@ class MovingObstacleCost(Cost):
         radius, points = state.dynamics.footprint.radius, _points(state)
         too_close = contact(state, self.margin, self.reaction_time)
         if obstacles.is_known is None:
-            return self._paid(radius, points, too_close, t, obstacles)
+            return self._evaluate(radius, points, too_close, t, obstacles)
         # All samples share the obstacles, so under `jax.vmap` this stays a branch: while none is
         # known, as of robots that are far apart, nothing is computed. It is given what it reads of
         # the states, because XLA would copy whole states into it.
         paid: Scalar = jax.lax.cond(
             jnp.any(obstacles.is_known),
-            lambda points, too_close: self._paid(radius, points, too_close, t, obstacles),
+            lambda points, too_close: self._evaluate(radius, points, too_close, t, obstacles),
             lambda _, too_close: jnp.zeros_like(too_close),
             *(points, too_close),
         )
         return paid
 
-    def _paid(
+    def _evaluate(
         self,
         radius: Scalar,
         points: list[tuple[Scalar, ...]],
@@ -149,7 +149,7 @@ class MovingObstacleCost(Cost):
         """
         has_distance = self.clearance is not None or self.collision is not None
         sums_distances = has_distance and not self.nearest_only
-        things = self._expected(radius, t, obstacles, has_distance)
+        things = self._predict(radius, t, obstacles, has_distance)
 
         def price(obstacle: _Obstacle) -> Scalar:
             paid = jnp.zeros(())
@@ -176,7 +176,7 @@ class MovingObstacleCost(Cost):
             obstacles: the obstacles at the present time.
         """
         radius, points = state.dynamics.footprint.radius, _points(state)
-        things = self._expected(radius, t, obstacles, True)
+        things = self._predict(radius, t, obstacles, True)
         return least(lambda obstacle: _gap(obstacle, points), things)[0]
 
     def room(self, state: State, obstacles: Obstacles) -> Scalar:
@@ -184,20 +184,20 @@ class MovingObstacleCost(Cost):
         [m]."""
         return self.distance(state, jnp.zeros(()), obstacles) - state.dynamics.footprint.radius
 
-    def _expected(
+    def _predict(
         self, radius: Scalar, t: Scalar, obstacles: Obstacles, has_distance: bool
     ) -> _Obstacle:
         """Predict the quantities of each obstacle that the terms read.
 
         They do not depend on the sample, so under `jax.vmap` they are computed once for all.
         """
-        covariance = obstacles.predicted_covariance(t)
+        covariance = obstacles.predict_covariance(t)
         centre = form = corners = radii = variances = None
         if self.nearness is not None:
-            centre = obstacles.predicted_centres(t)
+            centre = obstacles.predict_centres(t)
             form = _forms(covariance, radius + obstacles.extents)
         if has_distance:
-            outlines = obstacles.predicted(t)
+            outlines = obstacles.predict(t)
             corners, radii = outlines.corners, outlines.radii
             if self.caution is not None:
                 entries = covariance[:, 0, 0], 2.0 * covariance[:, 0, 1], covariance[:, 1, 1]
@@ -223,7 +223,7 @@ def _factor(name: str, value: ArrayLike | None) -> Scalar | None:
 
 def _points(state: State) -> list[tuple[Scalar, ...]]:
     """Return the centres (x, y) of the discs that cover the robot [m]."""
-    return [shifted(tuple(state.position), lever) for lever in levers(state)]
+    return [add_lever(tuple(state.position), lever) for lever in levers(state)]
 
 
 def _forms(covariance: Float[Array, "N 2 2"], extent: Float[Array, " N"]) -> Float[Array, "N 3"]:

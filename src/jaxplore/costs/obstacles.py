@@ -10,7 +10,7 @@ from jaxplore import _checks
 from jaxplore._checks import array
 from jaxplore._types import ArrayLike, ControlVector, Rows, Scalar, Vector
 from jaxplore.belief.belief import Belief, part
-from jaxplore.costs._contact import Lever, contact, levers, penalty, shifted
+from jaxplore.costs._contact import Lever, add_lever, contact, levers, penalty
 from jaxplore.costs._distance import offset
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
@@ -67,7 +67,7 @@ class ObstacleCost(Cost):
         def clearance(lever: Lever) -> Scalar:
             centre = state.position
             if lever:
-                centre = jnp.stack(shifted(tuple(centre), lever))
+                centre = jnp.stack(add_lever(tuple(centre), lever))
             cleared: Scalar = field(centre)
             return cleared
 
@@ -134,7 +134,7 @@ class DiscObstacleCost(Cost):
         def outside(disc: tuple[Array, Array]) -> Scalar:
             centre, radius = disc
             away = offset(state, centre)
-            nearest = [length(*shifted(away, lever)) for lever in parts]
+            nearest = [length(*add_lever(away, lever)) for lever in parts]
             return functools.reduce(jnp.minimum, nearest) - radius
 
         distance, _ = least(outside, (self.centres, self.radii))

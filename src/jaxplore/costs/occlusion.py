@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import part
-from jaxplore.costs._contact import levers, shifted
+from jaxplore.costs._contact import add_lever, levers
 from jaxplore.costs._distance import offset
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
@@ -74,7 +74,7 @@ class OcclusionCost(Cost):
         def away(edge: tuple[jax.Array, jax.Array]) -> Scalar:
             place, is_there = edge
             gap = offset(state, place)
-            lengths = [length(*shifted(gap, lever)) for lever in parts]
+            lengths = [length(*add_lever(gap, lever)) for lever in parts]
             return jnp.where(is_there, functools.reduce(jnp.minimum, lengths), jnp.inf)
 
         nearest, _ = least(away, (edges.position, edges.is_there))

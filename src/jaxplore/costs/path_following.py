@@ -24,7 +24,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.costs import extract
 from jaxplore.costs._arrival import OVERRUN, overrun
-from jaxplore.costs._contact import levers, shifted
+from jaxplore.costs._contact import add_lever, levers
 from jaxplore.costs._distance import offset
 from jaxplore.costs.base import Cost
 from jaxplore.costs.extract import Extractor
@@ -66,7 +66,7 @@ class PathErrorCost(Cost):
         _kinds.function("parameter", self.parameter, accepted)
 
     @abc.abstractmethod
-    def chosen(self, errors: PathErrors) -> Scalar:
+    def select_error(self, errors: PathErrors) -> Scalar:
         """Select the error component that the cost squares."""
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
@@ -79,7 +79,7 @@ class PathErrorCost(Cost):
         _check_reach(self.path, state.dynamics)
         phi = extract.extract("parameter", self.parameter, state, ())
         where = extract.extract("position", self.position, state, (2,))
-        return self.chosen(self.path.errors(where, phi))
+        return self.select_error(self.path.errors(where, phi))
 
     def errors(self, states: Float[Array, "T nx"], dynamics: Dynamics) -> Float[Array, " T"]:
         """Compute the signed error of each of T states (T,) [m]."""
@@ -95,7 +95,7 @@ class ContouringCost(PathErrorCost):
     positive to the right of the path. See `PathErrorCost` for arguments and errors.
     """
 
-    def chosen(self, errors: PathErrors) -> Scalar:
+    def select_error(self, errors: PathErrors) -> Scalar:
         """Return the contouring error [m]."""
         return errors.contouring
 
@@ -109,7 +109,7 @@ class LagCost(PathErrorCost):
     positive behind the point. See `PathErrorCost` for arguments and errors.
     """
 
-    def chosen(self, errors: PathErrors) -> Scalar:
+    def select_error(self, errors: PathErrors) -> Scalar:
         """Return the lag error [m]."""
         return errors.lag
 
@@ -130,7 +130,7 @@ class ProgressCost(Cost):
 
     def __check_init__(self) -> None:
         if not isinstance(self.rate, str):
-            given = _kinds.described(self.rate)
+            given = _kinds.describe(self.rate)
             raise ValueError(f"rate is {given}; accepted: the name of a control")
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
@@ -254,7 +254,7 @@ class CorridorCost(Cost):
         point, (left, right) = self.path.at(phi), self.path.room(phi)
         room = jnp.full((), jnp.inf)
         for lever in levers(state):
-            centre = jnp.stack(shifted(tuple(state.position), lever))
+            centre = jnp.stack(add_lever(tuple(state.position), lever))
             error = errors_at(point, centre).contouring
             room = jnp.minimum(room, jnp.minimum(left + error, right - error))
         return room - state.dynamics.footprint.radius

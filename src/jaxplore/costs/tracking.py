@@ -311,7 +311,7 @@ class StateCost(ErrorCost):
         wanted = by_name("target", target)
         names_within("target", list(wanted), self.weights)
         if not isinstance(angles, (list, tuple)):
-            given = _kinds.described(angles)
+            given = _kinds.describe(angles)
             raise ValueError(f"angles is {given}; accepted: names of angles, such as ('yaw',)")
         names_within("angles", angles, self.weights)
         self.target = {name: wanted.get(name, jnp.zeros(())) for name in self.weights}

@@ -9,7 +9,7 @@ from jax import Array
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, Vector
-from jaxplore._xla import computed, on_device
+from jaxplore._xla import compute, on_device
 from jaxplore.dynamics.integrators import Integrator
 
 
@@ -72,15 +72,15 @@ def acceleration_range(
     """
     speeding = _checks.scalar("max_acceleration", max_acceleration, above=0.0)
     if max_deceleration is None:
-        return computed(lambda _, high: -high, speeding), speeding, None
+        return compute(lambda _, high: -high, speeding), speeding, None
     braking = _checks.scalar("max_deceleration", max_deceleration, above=0.0)
-    widest = computed(lambda xp, *each: xp.maximum(*each), speeding, braking)
+    widest = compute(lambda xp, *each: xp.maximum(*each), speeding, braking)
 
     def bound(xp: Any, slowest: Any, widest: Any, forwards: Any) -> Any:
         return xp.where(slowest < 0.0, widest, forwards)
 
-    low = computed(lambda xp, *each: -bound(xp, *each), min_speed, widest, braking)
-    high = computed(bound, min_speed, widest, speeding)
+    low = compute(lambda xp, *each: -bound(xp, *each), min_speed, widest, braking)
+    high = compute(bound, min_speed, widest, speeding)
     return low, high, BrakingLimits(speeding, braking)
 
 
@@ -101,7 +101,7 @@ def acceleration_to(
     return jnp.subtract(target, free) / gain
 
 
-def shrunk(control: ControlVector, bounds: ControlVector) -> ControlVector:
+def shrink(control: ControlVector, bounds: ControlVector) -> ControlVector:
     """Return the control (nu,), shrunk to lie within +-bounds (nu,); it keeps its direction."""
     excess = jnp.max(jnp.abs(control) / bounds)
     within: ControlVector = control / jnp.maximum(excess, 1.0)

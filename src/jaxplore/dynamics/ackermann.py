@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.dynamics._bounds import (
     BrakingLimits,
     acceleration_range,
@@ -94,10 +94,10 @@ class Ackermann(ContinuousDynamics):
             max_acceleration, max_deceleration, self.min_speed
         )
         steering_rate = _checks.scalar("max_steering_rate", max_steering_rate, above=0.0)
-        self.control_min = computed(
+        self.control_min = compute(
             lambda xp, low, rate: xp.stack([low, -rate]), lowest, steering_rate
         )
-        self.control_max = computed(lambda xp, *each: xp.stack(each), highest, steering_rate)
+        self.control_max = compute(lambda xp, *each: xp.stack(each), highest, steering_rate)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         if footprint is None:
             overhang, width = 0.25 * self.wheelbase, 0.8 * self.wheelbase
@@ -121,7 +121,7 @@ class Ackermann(ContinuousDynamics):
     @property
     def turning_radius(self) -> Scalar:
         """Radius of the smallest circle of the middle of the rear axle [m]."""
-        return computed(
+        return compute(
             lambda xp, length, angle: length / xp.tan(angle), self.wheelbase, self.max_steering
         )
 
@@ -163,8 +163,8 @@ class Ackermann(ContinuousDynamics):
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (5,) after `dt` seconds under a control (2,)."""
-        state, control, dt = self.checked_step(state, control, dt)
-        return super().step(state, self._within_limits(state, control, dt), dt)
+        state, control, dt = self.check_step(state, control, dt)
+        return super().step(state, self._limit(state, control, dt), dt)
 
     @property
     def deceleration(self) -> Scalar:
@@ -182,11 +182,9 @@ class Ackermann(ContinuousDynamics):
         target = jnp.sign(v) * turn * self.max_steering
         steering_rate = jnp.where(v == 0.0, 0.0, (target - steering) / dt)
         control = jnp.clip(jnp.stack([a, steering_rate]), self.control_min, self.control_max)
-        return self._within_limits(state, control, dt)
+        return self._limit(state, control, dt)
 
-    def _within_limits(
-        self, state: StateVector, control: ControlVector, dt: Scalar
-    ) -> ControlVector:
+    def _limit(self, state: StateVector, control: ControlVector, dt: Scalar) -> ControlVector:
         """Return the control (2,) with an acceleration that the limits admit."""
         if self.limits is None:
             return control

@@ -93,7 +93,7 @@ class Augmented(Dynamics):
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (nx,) after `dt` seconds under a control (nu,)."""
-        state, control, dt = self.checked_step(state, control, dt)
+        state, control, dt = self.check_step(state, control, dt)
         return self.step_at(state, control, jnp.zeros(()), dt)
 
     def step_at(
@@ -168,7 +168,9 @@ class Augmented(Dynamics):
             ]
         )
 
-    def blocked(self, before: StateVector, after: StateVector) -> StateVector:
+    def resolve_collision(self, before: StateVector, after: StateVector) -> StateVector:
         """Return the state after a collision stopped the robot; the virtual state moves on."""
-        stopped = self.physical.blocked(self.split_state(before)[0], self.split_state(after)[0])
+        stopped = self.physical.resolve_collision(
+            self.split_state(before)[0], self.split_state(after)[0]
+        )
         return jnp.concatenate([stopped, self.split_state(after)[1]])

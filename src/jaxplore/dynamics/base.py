@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._types import ArrayLike, ControlVector, Pose, Position, Scalar, StateVector, Twist
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.dynamics.integrators import Derivative, Integrator
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.footprint import Disc, Footprint
@@ -72,7 +72,7 @@ class Dynamics(eqx.Module):
     @property
     def control_half_range(self) -> ControlVector:
         """Half the width of the control range (nu,), a natural scale for sampling noise."""
-        return computed(lambda _, low, high: 0.5 * (high - low), self.control_min, self.control_max)
+        return compute(lambda _, low, high: 0.5 * (high - low), self.control_min, self.control_max)
 
     @property
     def footprint(self) -> Footprint:
@@ -210,7 +210,7 @@ class Dynamics(eqx.Module):
     def with_component(self, state: StateVector, name: str, value: ArrayLike) -> StateVector:
         """Return a state (nx,) with another value of the state component with a name."""
         is_it = np.array([each == name for each in self.state_names])
-        return computed(
+        return compute(
             lambda xp, state, value: xp.where(is_it, xp.asarray(value, state.dtype), state),
             state,
             value,
@@ -246,10 +246,10 @@ class Dynamics(eqx.Module):
         """
         pose = {"x": x, "y": y, "yaw": yaw}
         for name, value in pose.items():
-            _checks.shaped(name, value, ())
+            _checks.of_shape(name, value, ())
         return as_state(*(pose.get(name, 0.0) for name in self.state_names))
 
-    def checked_step(
+    def check_step(
         self, state: StateVector, control: ControlVector, dt: Scalar
     ) -> tuple[StateVector, ControlVector, Scalar]:
         """Return the arguments of `step`, lists as arrays, if their shapes are right.
@@ -266,10 +266,10 @@ class Dynamics(eqx.Module):
             ("control", control, self.control_names),
         ):
             accepted = f"{len(names)} numbers: {', '.join(names)}"
-            vectors.append(_checks.shaped(name, value, (len(names),), accepted=accepted))
-        return vectors[0], vectors[1], _checks.shaped("dt", dt, ())
+            vectors.append(_checks.of_shape(name, value, (len(names),), accepted=accepted))
+        return vectors[0], vectors[1], _checks.of_shape("dt", dt, ())
 
-    def blocked(self, before: StateVector, after: StateVector) -> StateVector:
+    def resolve_collision(self, before: StateVector, after: StateVector) -> StateVector:
         """Return the state after a collision stopped the robot.
 
         The robot keeps its position and loses its speed. A disc may still turn; any other footprint
@@ -288,7 +288,7 @@ class Dynamics(eqx.Module):
     if not TYPE_CHECKING:  # for type checkers any attribute could be set
 
         def __setattr__(self, name: str, value: Any) -> None:
-            _kinds.annotated(self, name)
+            _kinds.check_annotation(self, name)
             super().__setattr__(name, value)
 
 
@@ -322,7 +322,7 @@ class ContinuousDynamics(Dynamics):
         Raises:
             ValueError: a state or a control of another size, a `dt` that is not one number.
         """
-        state, control, dt = self.checked_step(state, control, dt)
+        state, control, dt = self.check_step(state, control, dt)
         rate = self.derivative_under(control)
         return self.project(self.integrator(rate, state, control, dt))
 
@@ -380,4 +380,4 @@ class State(eqx.Module):
 
 def as_state(*components: float) -> StateVector:
     """Return numbers as a state (nx,)."""
-    return computed(lambda xp, *each: xp.stack(each).astype(xp.float32), *components)
+    return compute(lambda xp, *each: xp.stack(each).astype(xp.float32), *components)

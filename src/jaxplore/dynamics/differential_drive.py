@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.dynamics._bounds import acceleration_range, acceleration_to, radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import Euler, Integrator
@@ -68,8 +68,8 @@ class DifferentialDrive(ContinuousDynamics):
         # The robot drives forwards only, so the sign of a tells speeding up from braking.
         lowest, highest, _ = acceleration_range(max_acceleration, max_deceleration, jnp.zeros(()))
         turn = _checks.scalar("max_angular_acceleration", max_angular_acceleration, above=0.0)
-        self.control_min = computed(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn)
-        self.control_max = computed(lambda xp, *each: xp.stack(each), highest, turn)
+        self.control_min = compute(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn)
+        self.control_max = compute(lambda xp, *each: xp.stack(each), highest, turn)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         self.radius = radius_of_robot(radius)
         self.integrator = Euler() if integrator is None else integrator

@@ -40,12 +40,12 @@ class Formation(Dynamics):
     @property
     def state_names(self) -> tuple[str, ...]:  # type: ignore[override]
         """Names of the state's components."""
-        return _numbered([robot.state_names for robot in self.robots])
+        return _number_names([robot.state_names for robot in self.robots])
 
     @property
     def control_names(self) -> tuple[str, ...]:  # type: ignore[override]
         """Names of the controls."""
-        return _numbered([robot.control_names for robot in self.robots])
+        return _number_names([robot.control_names for robot in self.robots])
 
     @property  # type: ignore[misc]
     def control_min(self) -> ControlVector:  # type: ignore[override]
@@ -82,7 +82,7 @@ class Formation(Dynamics):
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (nx,) after `dt` seconds under a control (nu,)."""
-        state, control, dt = self.checked_step(state, control, dt)
+        state, control, dt = self.check_step(state, control, dt)
         parts = zip(self.robots, self.split_state(state), self.split_control(control), strict=True)
         return jnp.concatenate([robot.step(x, u, dt) for robot, x, u in parts])
 
@@ -112,7 +112,7 @@ def extent(footprint: Footprint) -> float:
     return float(np.max(np.abs(footprint.offsets))) + float(footprint.radius)
 
 
-def _numbered(names: Sequence[Sequence[str]]) -> tuple[str, ...]:
+def _number_names(names: Sequence[Sequence[str]]) -> tuple[str, ...]:
     return tuple(f"{name}_{number}" for number, each in enumerate(names, 1) for name in each)
 
 

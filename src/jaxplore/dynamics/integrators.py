@@ -37,7 +37,7 @@ class Euler(Integrator):
         self, derivative: Derivative, state: StateVector, control: ControlVector, dt: Scalar
     ) -> StateVector:
         """Return the state (nx,) after `dt` seconds."""
-        return jnp.stack(_ahead(tuple(state), derivative(state, control), dt))
+        return jnp.stack(_advance(tuple(state), derivative(state, control), dt))
 
 
 class RK4(Integrator):
@@ -59,9 +59,9 @@ class RK4(Integrator):
         # `cut` keeps XLA's CPU back end from recomputing all earlier stages for each component.
         half = 0.5 * dt
         first = tuple(state)
-        second = cut(_ahead(first, derivative(state, control), half))
-        third = cut(_ahead(first, derivative(jnp.stack(second), control), half))
-        fourth = cut(_ahead(first, derivative(jnp.stack(third), control), dt))
+        second = cut(_advance(first, derivative(state, control), half))
+        third = cut(_advance(first, derivative(jnp.stack(second), control), half))
+        fourth = cut(_advance(first, derivative(jnp.stack(third), control), dt))
         last = derivative(jnp.stack(fourth), control)
         return jnp.stack(
             [
@@ -71,7 +71,7 @@ class RK4(Integrator):
         )
 
 
-def _ahead(state: tuple[Array, ...], rate: Array, dt: Array) -> tuple[Array, ...]:
+def _advance(state: tuple[Array, ...], rate: Array, dt: Array) -> tuple[Array, ...]:
     # Component by component, because XLA removes a stack that is only unpacked again: rollouts of K
     # samples then compute on vectors of K without building (nx, K) arrays in between.
     return tuple(value + dt * change for value, change in zip(state, rate, strict=True))

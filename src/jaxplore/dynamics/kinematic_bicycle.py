@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
-from jaxplore._xla import computed, cut
+from jaxplore._xla import compute, cut
 from jaxplore.dynamics._bounds import acceleration_to, radius_of_robot, speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Derivative, Integrator
@@ -72,19 +72,19 @@ class KinematicBicycle(ContinuousDynamics):
         self.front_length = _checks.scalar("front_length", front_length, above=0.0)
         self.rear_length = _checks.scalar("rear_length", rear_length, above=0.0)
         self.min_speed, self.max_speed = speed_range(min_speed, max_speed)
-        self.control_max = computed(
+        self.control_max = compute(
             lambda xp, *each: xp.stack(each),
             _checks.scalar("max_acceleration", max_acceleration, above=0.0),
             _checks.scalar("max_steering", max_steering, above=0.0, below=0.5 * math.pi),
         )
-        self.control_min = computed(lambda xp, high: -high, self.control_max)
+        self.control_min = compute(lambda xp, high: -high, self.control_max)
         self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
 
     @property
     def turning_radius(self) -> Scalar:
         """Radius of the smallest circle of the centre of gravity [m]."""
-        return computed(
+        return compute(
             lambda xp, front, rear, bound: xp.hypot((front + rear) / xp.tan(bound[1]), rear),
             self.front_length,
             self.rear_length,

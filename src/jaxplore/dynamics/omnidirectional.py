@@ -6,13 +6,13 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.dynamics._bounds import (
     BrakingLimits,
     acceleration_range,
     acceleration_to,
     radius_of_robot,
-    shrunk,
+    shrink,
     speed_range,
 )
 from jaxplore.dynamics.base import ContinuousDynamics
@@ -92,8 +92,8 @@ class Omnidirectional(ContinuousDynamics):
             max_acceleration, max_deceleration, jnp.asarray(-1.0)
         )
         turn = _checks.scalar("max_angular_acceleration", max_angular_acceleration, above=0.0)
-        self.control_max = computed(lambda xp, *each: xp.stack(each), highest, highest, turn)
-        self.control_min = computed(lambda xp, high: -high, self.control_max)
+        self.control_max = compute(lambda xp, *each: xp.stack(each), highest, highest, turn)
+        self.control_min = compute(lambda xp, high: -high, self.control_max)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         self.radius = radius_of_robot(radius)
         self.integrator = Euler() if integrator is None else integrator
@@ -116,8 +116,8 @@ class Omnidirectional(ContinuousDynamics):
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (6,) after `dt` seconds under a control (3,)."""
-        state, control, dt = self.checked_step(state, control, dt)
-        return super().step(state, self._within_limits(state, control, dt), dt)
+        state, control, dt = self.check_step(state, control, dt)
+        return super().step(state, self._limit(state, control, dt), dt)
 
     def project(self, state: StateVector) -> StateVector:
         """Return the state (6,) with all speeds within their bounds."""
@@ -152,7 +152,7 @@ class Omnidirectional(ContinuousDynamics):
         *_, vx, vy, omega = state
         braking = self.control_max[:2] if self.limits is None else self.limits.braking
         needed = [acceleration_to(0.0, v, self.drag, self.integrator, dt) for v in (vx, vy)]
-        linear = shrunk(jnp.stack(needed), jnp.broadcast_to(braking, (2,)))
+        linear = shrink(jnp.stack(needed), jnp.broadcast_to(braking, (2,)))
         # The turn rate that can still be braked in the time that the velocity needs after this
         # step.
         slower = jnp.max(jnp.abs(jnp.stack([vx, vy])) / braking)
@@ -162,9 +162,7 @@ class Omnidirectional(ContinuousDynamics):
         alpha = acceleration_to(target, omega, self.drag, self.integrator, dt)
         return jnp.append(linear, jnp.clip(alpha, -most, most))
 
-    def _within_limits(
-        self, state: StateVector, control: ControlVector, dt: Scalar
-    ) -> ControlVector:
+    def _limit(self, state: StateVector, control: ControlVector, dt: Scalar) -> ControlVector:
         """Return the control (3,) with accelerations that the limits admit."""
         if self.limits is None:
             return control

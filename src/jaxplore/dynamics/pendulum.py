@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
 from jaxplore.geometry.angles import sin_cos
@@ -65,7 +65,7 @@ class Pendulum(ContinuousDynamics):
         self.gravity = _checks.scalar("gravity", gravity, above=0.0)
         self.max_rate = _checks.scalar("max_rate", max_rate, above=0.0)
         self.control_max = _checks.scalar("max_torque", max_torque, above=0.0)[None]
-        self.control_min = computed(lambda xp, high: -high, self.control_max)
+        self.control_min = compute(lambda xp, high: -high, self.control_max)
         self.radius = self.length
         self.integrator = RK4() if integrator is None else integrator
 

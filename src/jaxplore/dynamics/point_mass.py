@@ -5,8 +5,8 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Position, Scalar, StateVector, Vector
-from jaxplore._xla import computed
-from jaxplore.dynamics._bounds import acceleration_to, positive, radius_of_robot, shrunk
+from jaxplore._xla import compute
+from jaxplore.dynamics._bounds import acceleration_to, positive, radius_of_robot, shrink
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
 from jaxplore.geometry.vectors import angle, length
@@ -60,7 +60,7 @@ class PointMass(ContinuousDynamics):
             None if max_speed is None else _checks.scalar("max_speed", max_speed, above=0.0)
         )
         self.control_max = positive("max_acceleration", max_acceleration, self.dimensions)
-        self.control_min = computed(lambda xp, high: -high, self.control_max)
+        self.control_min = compute(lambda xp, high: -high, self.control_max)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
@@ -126,4 +126,4 @@ class PointMass(ContinuousDynamics):
             acceleration_to(0.0, v, self.drag, self.integrator, dt)
             for v in tuple(state)[self.dimensions :]
         ]
-        return shrunk(jnp.stack(needed), self.control_max)
+        return shrink(jnp.stack(needed), self.control_max)

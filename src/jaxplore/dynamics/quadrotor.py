@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Pose, Scalar, StateVector, Vector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.dynamics._bounds import positive, radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics, as_state
 from jaxplore.dynamics.integrators import RK4, Integrator
@@ -82,22 +82,22 @@ class Quadrotor(ContinuousDynamics):
             "rate_time_constant", rate_time_constant, above=0.0
         )
         highest = (
-            computed(lambda _, mass, gravity: 4.0 * mass * gravity, self.mass, self.gravity)
+            compute(lambda _, mass, gravity: 4.0 * mass * gravity, self.mass, self.gravity)
             if max_thrust is None
             else _checks.scalar("max_thrust", max_thrust, above=0.0)
         )
         rates = positive("max_rate", max_rate, 3)
-        self.control_min = computed(
+        self.control_min = compute(
             lambda xp, most: xp.append(xp.zeros_like(most[:1]), -most), rates
         )
-        self.control_max = computed(lambda xp, *each: xp.append(*each), highest, rates)
+        self.control_max = compute(lambda xp, *each: xp.append(*each), highest, rates)
         self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
 
     @property
     def default_control(self) -> ControlVector:
         """Hover control (4,): thrust equal to the weight and zero rates, clipped to the bounds."""
-        return computed(
+        return compute(
             lambda xp, mass, gravity, low, high: xp.clip(
                 xp.append(mass * gravity, xp.zeros_like(low[1:])), low, high
             ),
@@ -252,7 +252,7 @@ class Quadrotor(ContinuousDynamics):
     def at_pose(self, x: float, y: float, yaw: float, z: float = 0.0) -> StateVector:
         """Return the state of a level robot at rest at a pose (x, y, yaw, z) [m, m, rad, m]."""
         for name, value in {"x": x, "y": y, "yaw": yaw, "z": z}.items():
-            _checks.shaped(name, value, ())
+            _checks.of_shape(name, value, ())
         level = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
         return as_state(x, y, z, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0)
 

@@ -43,7 +43,7 @@ class PositionVariance(Dynamics):
         """Return the variance (1,) of a robot that stands still and scans nothing: the same."""
         return state
 
-    def after(self, variance: Scalar, before: Position, here: Position, dt: Scalar) -> Scalar:
+    def propagate(self, variance: Scalar, before: Position, here: Position, dt: Scalar) -> Scalar:
         """Return the variance [m^2] after a step of `dt` [s] from `before` to `here` [m]."""
         moved = here - before
         grown = variance + self.added * jnp.sqrt((moved**2).sum())
@@ -91,4 +91,4 @@ class UncertainRobot(Augmented):
         robot = self.physical
         after = robot.step_at(before, control, t, dt)
         places = robot.position(before), robot.position(after)
-        return jnp.append(after, self.virtual.after(variance, *places, dt))
+        return jnp.append(after, self.virtual.propagate(variance, *places, dt))

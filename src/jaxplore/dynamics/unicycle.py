@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.dynamics._bounds import radius_of_robot, speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
@@ -53,8 +53,8 @@ class Unicycle(ContinuousDynamics):
         _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         lowest, highest = speed_range(min_speed, max_speed)
         turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
-        self.control_min = computed(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn_rate)
-        self.control_max = computed(lambda xp, *each: xp.stack(each), highest, turn_rate)
+        self.control_min = compute(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn_rate)
+        self.control_max = compute(lambda xp, *each: xp.stack(each), highest, turn_rate)
         self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
 

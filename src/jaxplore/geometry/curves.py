@@ -111,10 +111,10 @@ def clothoid_path(
     x, y, heading = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
     accepted = "rows of a length and two curvatures"
     if not isinstance(pieces, (list, tuple, np.ndarray)):
-        raise ValueError(f"pieces is {_kinds.described(pieces)}; accepted: {accepted}")
+        raise ValueError(f"pieces is {_kinds.describe(pieces)}; accepted: {accepted}")
     for piece in pieces:
         if not isinstance(piece, (list, tuple, np.ndarray)) or len(piece) != 3:
-            raise ValueError(f"pieces has {_kinds.described(piece)}; accepted: {accepted}")
+            raise ValueError(f"pieces has {_kinds.describe(piece)}; accepted: {accepted}")
     rows = [
         (
             _checks.number(f"pieces[{index}] length", piece[0], above=0.0),
@@ -263,7 +263,7 @@ def _curve(knots: np.ndarray, method: str, boundary: str, is_closed: bool) -> _C
         values = np.interp(phi, arc, fine)
         for _ in range(4):
             index = np.clip(np.searchsorted(fine, values, side="right") - 1, 0, fine.size - 2)
-            passed = arc[index] + _between(speed, fine[index], values)
+            passed = arc[index] + _integrate_between(speed, fine[index], values)
             rate = speed(values)
             # At a clamped end the speed is 0, and a Newton step would be infinite.
             step = np.where(rate > 0.0, (phi - passed) / np.where(rate > 0.0, rate, 1.0), 0.0)
@@ -391,7 +391,7 @@ NODES, WEIGHTS = leggauss(8)
 """Points and weights of Gauss-Legendre quadrature, exact for polynomials up to degree 15."""
 
 
-def _between(rate: Function, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _integrate_between(rate: Function, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Integrate a function (N,) between pairs of bounds, by Gauss-Legendre quadrature."""
     half, middle = 0.5 * (high - low), 0.5 * (high + low)
     values = rate((middle[:, None] + half[:, None] * NODES).ravel()).reshape(-1, NODES.size)

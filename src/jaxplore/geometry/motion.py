@@ -9,7 +9,7 @@ Points = Float[Array, "N 2"]
 Matrix = Float[Array, "3 3"]
 
 
-def wrapped(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
+def wrap_angle(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """Return angles in [-pi, pi] [rad]."""
     return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
 
@@ -31,10 +31,10 @@ def between(pose: Pose, other: Pose) -> Pose:
     """
     sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
     dx, dy, turn = jnp.unstack(other - pose)
-    return jnp.stack([cos * dx + sin * dy, cos * dy - sin * dx, wrapped(turn)])
+    return jnp.stack([cos * dx + sin * dy, cos * dy - sin * dx, wrap_angle(turn)])
 
 
-def moved_covariance(pose: Pose, increment: Pose, covariance: Matrix, added: Matrix) -> Matrix:
+def propagate_covariance(pose: Pose, increment: Pose, covariance: Matrix, added: Matrix) -> Matrix:
     """Return the covariance of a pose after an uncertain motion, to first order.
 
         F P F' + G Q G',   F = d compose / d pose,   G = d compose / d increment
@@ -69,7 +69,7 @@ def rotation(yaw: Scalar) -> Matrix:
     )
 
 
-def placed(pose: Pose, points: Points) -> Points:
+def transform_points(pose: Pose, points: Points) -> Points:
     """Return points (N, 2) of the frame of a pose in the world [m]."""
     sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
     x = cos * points[:, 0] - sin * points[:, 1] + pose[0]

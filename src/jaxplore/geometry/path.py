@@ -148,7 +148,7 @@ class Path(eqx.Module):
         self.points = jnp.asarray(points, jnp.float32)
         self.tangents = jnp.asarray(tangents / size[:, None], jnp.float32)
         self.half_widths = _widths(half_widths, count)
-        self.stops = jnp.asarray(_checked_stops(stops, total, is_closed=is_closed), jnp.float32)
+        self.stops = jnp.asarray(_check_stops(stops, total, is_closed=is_closed), jnp.float32)
         self.length = jnp.asarray(total, jnp.float32)
         self.is_closed = is_closed
 
@@ -181,7 +181,7 @@ class Path(eqx.Module):
 
     def at(self, phi: Scalar) -> PathPoint:
         """Return the point, heading and curvature of the path at an arc length [m]."""
-        row, share, beyond = self._locate(_checks.shaped("phi", phi, ()))
+        row, share, beyond = self._locate(_checks.of_shape("phi", phi, ()))
         h = self.spacing
         (x0, y0), (x1, y1) = self._rows(self.points, row)
         (c0, s0), (c1, s1) = self._rows(self.tangents, row)
@@ -200,7 +200,7 @@ class Path(eqx.Module):
 
     def room(self, phi: Scalar) -> tuple[Scalar, Scalar]:
         """Return the free width to the left and to the right [m], linear between nodes."""
-        row, share, _ = self._locate(_checks.shaped("phi", phi, ()))
+        row, share, _ = self._locate(_checks.of_shape("phi", phi, ()))
         before, after = self._rows(self.half_widths, row)
         # The difference of two infinite widths would be NaN.
         left, right = (
@@ -227,7 +227,7 @@ class Path(eqx.Module):
 
     def offset(self, phi: Scalar, lateral: Scalar) -> Position:
         """Return the position (x, y) at an arc length, shifted to the left by `lateral` [m]."""
-        _checks.shaped("lateral", lateral, ())
+        _checks.of_shape("lateral", lateral, ())
         point = self.at(phi)
         return point.position + lateral * point.normal
 
@@ -253,7 +253,7 @@ class Path(eqx.Module):
         """
         position = _checks.position("position", position)
         if near is not None:
-            _checks.shaped("near", near, ())
+            _checks.of_shape("near", near, ())
         count = self.points.shape[0]
         h = self.spacing
         away = self.points - position
@@ -343,7 +343,7 @@ def _hermite(
     return value, first, 2.0 * second + 6.0 * share * third
 
 
-def _checked_stops(stops: Vector, length: float, *, is_closed: bool) -> np.ndarray:
+def _check_stops(stops: Vector, length: float, *, is_closed: bool) -> np.ndarray:
     kind = "none, for a closed path" if is_closed else f"rising numbers in (0, {length:g}) [m]"
     given = np.asarray(_checks.floats("stops", stops, kind), np.float64).reshape(-1)
     ends = np.concatenate([[0.0], given, [length]])

@@ -74,7 +74,7 @@ class Motion(NamedTuple):
     turn: float
 
 
-def rounded_radius(turning_radius: float, spacing: float) -> float:
+def round_radius(turning_radius: float, spacing: float) -> float:
     """Return a turning radius [m] in node spacings, rounded up to a multiple of `RADIUS_STEP`.
 
     Raises:

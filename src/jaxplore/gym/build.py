@@ -62,7 +62,7 @@ def build_environment(
             scenario already determines, several floors of a map other than the office, or a value
             that `Environment` rejects.
     """
-    given = _checked(scenario, settings)
+    given = _check_settings(scenario, settings)
     if scenario is None:
         scenario = _scenarios(given, num_floors)
     elif num_floors != 1:
@@ -91,7 +91,7 @@ def build_environment(
     )
 
 
-def _checked(scenario: object, settings: dict[str, Any]) -> RunSettings:
+def _check_settings(scenario: object, settings: dict[str, Any]) -> RunSettings:
     """Check the settings, and merge them over the defaults of an environment."""
     if "seed" in settings:
         raise ValueError(

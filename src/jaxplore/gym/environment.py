@@ -13,13 +13,13 @@ from jaxplore.gym.spaces import (
     Observed,
     action_space,
     begin,
-    begun,
-    checked_action,
+    check_action,
+    convert_observation,
     draw,
     facts,
     observation_space,
-    observed,
     positions,
+    require_state,
     step,
 )
 from jaxplore.simulation.environment.environment import Environment, EnvironmentState, StepResult
@@ -57,7 +57,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
-        self.render_mode = checked_render_mode(render_mode)
+        self.render_mode = check_render_mode(render_mode)
         self.environment = build_environment(**options)
         self.metadata = environment_metadata(self.environment, type(self).metadata)
         self.action_space = action_space(self.environment)
@@ -74,7 +74,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
         """
-        return begun(self._state)
+        return require_state(self._state)
 
     @property
     def belief(self) -> Belief:
@@ -105,7 +105,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
             ValueError: an action of another shape, or that is not finite.
             gymnasium.error.ResetNeeded: before the first reset.
         """
-        given = checked_action(action, self.action_space.shape or ())
+        given = check_action(action, self.action_space.shape or ())
         observation, reward, ends, info = self._advance(
             self.state, given, self.environment.steps_per_action
         )
@@ -125,14 +125,14 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
         info = {
             name: value.item() for name, value in facts(self.environment, outcome, state).items()
         }
-        observation = observed(outcome.observation, self._observation_space)
+        observation = convert_observation(outcome.observation, self._observation_space)
         if self.render_mode is not None:
             self._path.append(positions(self.environment, self._state))
         ends = bool(outcome.is_terminated), bool(outcome.is_truncated)
         return observation, float(outcome.reward), ends, info
 
 
-def checked_render_mode(render_mode: str | None) -> str | None:
+def check_render_mode(render_mode: str | None) -> str | None:
     """Check a render mode, and return it."""
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"render_mode is {render_mode!r}; accepted: rgb_array, None")

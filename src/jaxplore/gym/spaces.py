@@ -29,7 +29,7 @@ def step(
     return environment.step(state, action, num_steps)
 
 
-def begun(state: EnvironmentState | None) -> EnvironmentState:
+def require_state(state: EnvironmentState | None) -> EnvironmentState:
     """Return the state of an environment; raise `ResetNeeded` if it was not reset."""
     if state is None:
         raise error.ResetNeeded("the environment has no state; accepted: reset first")
@@ -59,7 +59,7 @@ def observation_space(environment: Environment) -> spaces.Dict:
     )
 
 
-def observed(observation: dict[str, Array], space: spaces.Dict) -> Observed:
+def convert_observation(observation: dict[str, Array], space: spaces.Dict) -> Observed:
     """Convert one or more observations to new NumPy arrays within the bounds of the space."""
     arrays = jax.device_get(observation)
     boxes = {name: box for name, box in space.items() if isinstance(box, spaces.Box)}
@@ -91,7 +91,7 @@ def draw(
     return jax.random.key(number), jnp.asarray(choice, jnp.int32)
 
 
-def checked_action(action: Any, shape: tuple[int, ...]) -> Array:
+def check_action(action: Any, shape: tuple[int, ...]) -> Array:
     """Check one or more actions, and convert them to an array of finite numbers."""
     given = np.asarray(action, np.float32)
     if given.shape != shape or not np.isfinite(given).all():

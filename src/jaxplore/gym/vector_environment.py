@@ -18,18 +18,18 @@ from jaxplore._limits import MOST_AT_ONCE
 from jaxplore._trees import stack_trees
 from jaxplore._types import Count
 from jaxplore.gym.build import build_environment
-from jaxplore.gym.environment import checked_render_mode, environment_metadata, picture
+from jaxplore.gym.environment import check_render_mode, environment_metadata, picture
 from jaxplore.gym.spaces import (
     Observed,
     action_space,
     begin,
-    begun,
-    checked_action,
+    check_action,
+    convert_observation,
     draw,
     facts,
     observation_space,
-    observed,
     positions,
+    require_state,
 )
 from jaxplore.simulation.environment.environment import Environment, EnvironmentState, StepResult
 
@@ -71,7 +71,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
     ) -> None:
         self.num_envs = _checks.positive_int("num_envs", num_envs, at_most=MOST_AT_ONCE)
         self.is_vmapped = jax.default_backend() != "cpu" if is_vmapped is None else is_vmapped
-        self.render_mode = checked_render_mode(render_mode)
+        self.render_mode = check_render_mode(render_mode)
         self.environment = build_environment(**options)
         self.metadata = environment_metadata(self.environment, type(self).metadata)
         self.single_action_space = action_space(self.environment)
@@ -92,7 +92,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
         """
-        return begun(self._states)
+        return require_state(self._states)
 
     def reset(
         self,
@@ -136,7 +136,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
             ValueError: actions of a wrong shape, or that are not finite.
             gymnasium.error.ResetNeeded: before the first reset.
         """
-        given = checked_action(actions, self.action_space.shape or ())
+        given = check_action(actions, self.action_space.shape or ())
         ended = self._has_ended
         if self._states is not None and ended.any():
             self._begin(ended, [None] * self.num_envs, None)
@@ -179,7 +179,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
             return
         # Another number of environments to reset would be another program, so each is placed alone.
         for place, state in zip(places, fresh, strict=True):
-            self._states = _placed(self.states, jnp.asarray(place, jnp.int32), state)
+            self._states = _place(self.states, jnp.asarray(place, jnp.int32), state)
 
     def _advance(
         self, actions: Array, is_new: np.ndarray
@@ -190,7 +190,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
             self.environment, self.states, actions, num_steps, self.is_vmapped
         )
         self._outcomes = outcomes
-        observation = observed(outcomes.observation, self._single_observation_space)
+        observation = convert_observation(outcomes.observation, self._single_observation_space)
         if self.render_mode is not None:
             now = positions(self.environment, self._states)
             for path, position in zip(self._paths, now, strict=True):
@@ -230,7 +230,7 @@ def _rows(states: list[EnvironmentState]) -> EnvironmentState:
 
 
 @eqx.filter_jit
-def _placed(rows: EnvironmentState, place: Count, state: EnvironmentState) -> EnvironmentState:
+def _place(rows: EnvironmentState, place: Count, state: EnvironmentState) -> EnvironmentState:
     placed: EnvironmentState = jax.tree.map(
         lambda column, leaf: column.at[place].set(leaf), rows, state
     )

@@ -81,7 +81,7 @@ def cell_information(
     if edges is None:
         edges, cell_size = jnp.arange(size + 1, dtype=jnp.float32), 1.0
     else:
-        edges = _checked_edges(edges, size)
+        edges = _check_edges(edges, size)
     sensor = InverseSensorModel.from_odds() if sensor is None else sensor
     return contributions(values, cell_gains(values, sensor), noise, no_return, edges, cell_size)
 
@@ -108,7 +108,7 @@ def contributions(
         behind = passed  # without noise: a reading behind k, or none, means the beam passed k
     else:
         if noise is not None:
-            hit = noise.measured(hit, edges, cell_size)
+            hit = noise.apply(hit, edges, cell_size)
             hit = hit if in_range is None else jnp.where(in_range, hit, 0.0)
         # Sum from the far end: as 1 minus a sum from the near end, small values would cancel.
         behind = jnp.append(jnp.cumsum(hit[::-1])[::-1][1:], 0.0)
@@ -147,9 +147,7 @@ def cauchy_schwarz_information(
     values = _checks.probabilities("probability", probability, 1)
     deviation = _checks.scalar("std", std, above=0.0)
     size = values.shape[0]
-    edges = (
-        jnp.arange(size + 1, dtype=jnp.float32) if edges is None else _checked_edges(edges, size)
-    )
+    edges = jnp.arange(size + 1, dtype=jnp.float32) if edges is None else _check_edges(edges, size)
     free = 1.0 - values
     square = values * values + free * free
     passed = jnp.concatenate([jnp.ones(1), jnp.cumprod(free)])
@@ -170,7 +168,7 @@ def cauchy_schwarz_information(
     return jnp.maximum(information, 0.0)
 
 
-def _checked_edges(edges: Array, size: int) -> Array:
+def _check_edges(edges: Array, size: int) -> Array:
     if edges.shape != (size + 1,):
         raise ValueError(f"edges has shape {edges.shape}; accepted: ({size + 1},)")
     if not isinstance(edges, Tracer):

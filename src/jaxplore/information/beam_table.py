@@ -30,7 +30,7 @@ from jaxtyping import Bool, Float, Int
 from jaxplore._types import GridValues, Scalar
 from jaxplore._xla import on_device
 from jaxplore.geometry.rays import ray_offsets
-from jaxplore.information.gain import CellSensor, cell_gains, expected_gain, settled
+from jaxplore.information.gain import CellSensor, cell_gains, expected_gain, settle
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid, with_prior
 
@@ -122,7 +122,7 @@ class BeamTable(eqx.Module):
         absorbing rows before and after, and of columns before and after. `interest` is the
         additional information of observing each cell that a beam passes [nat].
         """
-        probability = settled(probability, sensor)
+        probability = settle(probability, sensor)
         if self.is_simple:
             channels = [1.0 - probability, expected_gain(probability, sensor)]
             if interest is not None:
@@ -341,7 +341,7 @@ def _readings(exit_: np.ndarray, noise: RangeNoise | None, resolution: float) ->
     # The noise of a certain hit in each cell in turn gives the whole of G.
     @jax.jit
     def spread(line: Array) -> Array:
-        return jax.vmap(lambda hit: noise.measured(hit, line, resolution))(jnp.eye(size))
+        return jax.vmap(lambda hit: noise.apply(hit, line, resolution))(jnp.eye(size))
 
     share = np.stack(
         [np.asarray(spread(jnp.asarray(line * resolution, jnp.float32)), float) for line in edges]

@@ -30,7 +30,7 @@ from jaxtyping import Bool, Float, Int
 from jaxplore._types import GridValues
 from jaxplore.geometry.rays import ray_offsets
 from jaxplore.information.beam_table import near_share
-from jaxplore.information.gain import CellSensor, expected_gain, settled
+from jaxplore.information.gain import CellSensor, expected_gain, settle
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 
 WORTHWHILE = 140.0
@@ -102,7 +102,7 @@ class Doubling(eqx.Module):
         for angle in angles:
             vector = _shortest_period(angle, tolerance)
             step = math.hypot(*vector)
-            # Rays are tabulated for the first quadrant; for the others `facing` flips the map.
+            # Rays are tabulated for the first quadrant; for the others `flip` flips the map.
             positive = math.atan2(abs(vector[0]), abs(vector[1]))
             # Split the ray into cells near the sensor, whole periods, and the rest.
             ray = ray_offsets(np.array([positive]), length)
@@ -145,7 +145,7 @@ class Doubling(eqx.Module):
 
         `interest` is the additional information of observing each cell that a beam passes [nat].
         """
-        probability = settled(belief.probability, sensor)
+        probability = settle(belief.probability, sensor)
         gain = expected_gain(probability, sensor)
         if interest is not None:
             gain = gain + (1.0 - probability) * interest
@@ -156,16 +156,16 @@ class Doubling(eqx.Module):
         middle, step = self.stride // 2, self.stride
         height, width = probability.shape
 
-        def facing(direction: Array, values: Array) -> Array:
+        def flip(direction: Array, values: Array) -> Array:
             """Flip the map so that the beams run towards greater rows and columns."""
             down, right = self.sign[direction, 0] < 0, self.sign[direction, 1] < 0
             values = jnp.where(down, values[::-1], values)
             return jnp.where(right, values[:, ::-1], values)
 
         def direction(number: Array) -> Array:
-            passing, worth = facing(number, 1.0 - probability), facing(number, gain)
+            passing, worth = flip(number, 1.0 - probability), flip(number, gain)
             value = self._one(passing, worth, number)
-            value = jnp.where(is_open, facing(number, value), 0.0)
+            value = jnp.where(is_open, flip(number, value), 0.0)
             # Pad so that there is a node in every started block of cells; off the map it is 0.
             more = [-size % step if size % step <= middle else 0 for size in (height, width)]
             return jnp.pad(value, [(0, more[0]), (0, more[1])])[middle::step, middle::step]
@@ -187,7 +187,7 @@ class Doubling(eqx.Module):
         def put(buffer: Array, values: Array) -> Array:
             return jax.lax.dynamic_update_slice(buffer, values, (0, 0))
 
-        def shifted(buffer: Array, offset: Array) -> Array:
+        def slice_at(buffer: Array, offset: Array) -> Array:
             row, column = jnp.minimum(offset.astype(jnp.int32), farthest)
             return jax.lax.dynamic_slice(buffer, (row, column), shape)
 
@@ -206,8 +206,8 @@ class Doubling(eqx.Module):
                 for part in range(UNROLL):
                     index = last - (block * UNROLL + part)
                     offset = segment.offset[direction, index]
-                    gained = segment.weight[direction, index] * shifted(gains, offset)
-                    beyond = gained + shifted(passings, offset) * value
+                    gained = segment.weight[direction, index] * slice_at(gains, offset)
+                    beyond = gained + slice_at(passings, offset) * value
                     # Padding has offset (0, 0), whose cell must not reduce the value.
                     value = jnp.where(segment.is_cell[direction, index], beyond, value)
                 return value
@@ -220,7 +220,7 @@ class Doubling(eqx.Module):
             """Multiply by the probability of passing the cells of one period: A."""
             for part in range(UNROLL):
                 index = block * UNROLL + part
-                through = shifted(passings, self.cells.offset[direction, index]) * value
+                through = slice_at(passings, self.cells.offset[direction, index]) * value
                 value = jnp.where(self.cells.is_cell[direction, index], through, value)
             return value
 
@@ -238,14 +238,14 @@ class Doubling(eqx.Module):
             start = position * period
             value = jax.lax.cond(
                 is_part == 1,
-                lambda: shifted(within, start) + shifted(through, start) * value,
+                lambda: slice_at(within, start) + slice_at(through, start) * value,
                 lambda: value,
             )
             ahead = period << number
             near_through, near_within = through[:height, :width], within[:height, :width]
             return (
-                put(through, near_through * shifted(through, ahead)),
-                put(within, near_within + near_through * shifted(within, ahead)),
+                put(through, near_through * slice_at(through, ahead)),
+                put(within, near_within + near_through * slice_at(within, ahead)),
                 value,
                 position,
             )

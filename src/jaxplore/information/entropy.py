@@ -16,7 +16,7 @@ from jaxplore.geometry.rays import traverse
 from jaxplore.information.batches import over_poses
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
-from jaxplore.sensing.fan import checked_view
+from jaxplore.sensing.fan import check_view
 from jaxplore.sensing.lidar import Lidar
 
 PoseGain = Callable[[OccupancyGrid, Position, Scalar], Scalar]
@@ -100,7 +100,7 @@ class EntropyFan(eqx.Module):
             ValueError: a field of view outside (0, 2 pi], no columns or ranges, a range or decay
                 length that is not positive.
         """
-        view = checked_view("horizontal_field_of_view", horizontal_field_of_view)
+        view = check_view("horizontal_field_of_view", horizontal_field_of_view)
         columns = _checks.positive_int("num_columns", num_columns)
         reach = _checks.number("max_range", max_range, above=0.0)
         lidar = Lidar(num_beams=columns, max_range=reach, field_of_view=view)

@@ -74,7 +74,7 @@ class InformationField(eqx.Module):
                 heading.
         """
         position = _checks.position("position", position)
-        _checks.shaped("heading", heading, ())
+        _checks.of_shape("heading", heading, ())
         view = self._view(field_of_view)
         height, width = self.cumulative.shape[1:]
         nodes = stencil((height, width), self.frame.to_grid(position), 0.0)

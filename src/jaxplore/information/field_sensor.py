@@ -21,11 +21,11 @@ from jaxplore.information.noise import RangeNoise
 from jaxplore.information.stale_tiles import (
     BLOCKS,
     TILE,
-    changed_blocks,
+    find_changed_blocks,
+    find_reached_blocks,
+    find_touched_tiles,
     first_group,
     group_shape,
-    reached_blocks,
-    touched_tiles,
 )
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -128,7 +128,7 @@ class FieldSensor(eqx.Module):
             no_return=no_return,
         )
         self.angles = on_device(np.array(angles, np.float32))
-        reached = reached_blocks(np.asarray(self.table.offset), stride)
+        reached = find_reached_blocks(np.asarray(self.table.offset), stride)
         self.nearby = on_device(reached.astype(np.float32))
         self.field_of_view, self.num_beams = lidar.field_of_view, lidar.num_beams
 
@@ -235,8 +235,8 @@ class FieldSensor(eqx.Module):
             return self.field(belief, sensor, prior=prior)
         size, tiles = self.nearby.shape[0], (-(-shape[0] // TILE), -(-shape[1] // TILE))
         is_changed = field.source != belief.probability
-        changed = changed_blocks(is_changed, tiles, self.stride, (size - BLOCKS) // 2)
-        touched = touched_tiles(changed, size)
+        changed = find_changed_blocks(is_changed, tiles, self.stride, (size - BLOCKS) // 2)
+        touched = find_touched_tiles(changed, size)
         # The maps that beams read are computed for a group of tiles at a time: their cost is that
         # of what is around the changes, and not of the whole map.
         group = group_shape(tiles, self.table.reach, self.stride)

@@ -23,12 +23,12 @@ class IdealSensor(eqx.Module):
 CellSensor = InverseSensorModel | IdealSensor
 
 
-def settled(probability: Float[Array, "*N"], sensor: CellSensor) -> Float[Array, "*N"]:
+def settle(probability: Float[Array, "*N"], sensor: CellSensor) -> Float[Array, "*N"]:
     """Return the probabilities with which beams are expected to end in cells.
 
-    See `InverseSensorModel.settled`; an ideal sensor leaves them unchanged.
+    See `InverseSensorModel.settle`; an ideal sensor leaves them unchanged.
     """
-    return probability if isinstance(sensor, IdealSensor) else sensor.settled(probability)
+    return probability if isinstance(sensor, IdealSensor) else sensor.settle(probability)
 
 
 class CellGains(NamedTuple):

@@ -27,7 +27,7 @@ class RangeNoise(eqx.Module):
     """Distribution of readings over the cells of a beam; abstract."""
 
     @abc.abstractmethod
-    def measured(
+    def apply(
         self, hit: Float[Array, " n"], edges: Float[Array, " n+1"], cell_size: float | None
     ) -> Float[Array, " n"]:
         """Return the probability of a reading in each cell, `sum_j G_kj P(e_j)`.
@@ -70,7 +70,7 @@ class GaussianNoise(RangeNoise):
                 raise ValueError("std is traced; accepted with a truncation: a number")
             self.reach = width * float(np.asarray(std))
 
-    def measured(
+    def apply(
         self, hit: Float[Array, " n"], edges: Float[Array, " n+1"], cell_size: float | None
     ) -> Float[Array, " n"]:
         """Return the probability of a reading in each cell."""
@@ -153,7 +153,7 @@ class ToeplitzNoise(RangeNoise):
 
         return cls([until(d + 0.5) - until(d - 0.5) for d in range(-width, width + 1)])
 
-    def measured(
+    def apply(
         self, hit: Float[Array, " n"], edges: Float[Array, " n+1"], cell_size: float | None
     ) -> Float[Array, " n"]:
         """Return the probability of a reading in each cell."""
@@ -184,7 +184,7 @@ class UniformNoise(RangeNoise):
     def __init__(self, half_width: int = 0) -> None:
         self.half_width = _checks.whole_number("half_width", half_width, at_least=0)
 
-    def measured(
+    def apply(
         self, hit: Float[Array, " n"], edges: Float[Array, " n+1"], cell_size: float | None
     ) -> Float[Array, " n"]:
         """Return the probability of a reading in each cell."""

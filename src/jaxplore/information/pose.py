@@ -13,7 +13,7 @@ from jaxplore._types import Position, Scalar
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.information.batches import over_poses
 from jaxplore.information.beam import contributions
-from jaxplore.information.gain import CellGains, CellSensor, IdealSensor, cell_gains, settled
+from jaxplore.information.gain import CellGains, CellSensor, IdealSensor, cell_gains, settle
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -127,7 +127,7 @@ class PoseInformation(eqx.Module):
             # A cell that the beam does not leave within its range cannot be measured as passed.
             in_range = cells.exit <= length
             is_cell = in_range & cells.is_crossed
-            found = settled(grid.at_cell(cells.cell), self.sensor)
+            found = settle(grid.at_cell(cells.cell), self.sensor)
             probability = jnp.where(is_cell, found, 0.0)
             counts = is_cell & grid.contains(cells.cell) & is_open
             gains = cell_gains(probability, self.sensor)

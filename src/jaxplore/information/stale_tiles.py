@@ -11,7 +11,7 @@ BLOCKS = 5
 """Blocks on a side of a tile; changed cells are detected per block."""
 
 
-def changed_blocks(
+def find_changed_blocks(
     is_changed: Bool[Array, "H W"], tiles: tuple[int, int], stride: int, margin: int
 ) -> Bool[Array, "rows columns"]:
     """Return the mask of the blocks with a changed cell, with a margin of unchanged blocks.
@@ -29,7 +29,7 @@ def changed_blocks(
     return jnp.pad(blocks.any(axis=(1, 3)), margin)
 
 
-def touched_tiles(
+def find_touched_tiles(
     changed: Bool[Array, "rows columns"], size: int
 ) -> Bool[Array, "tile_rows tile_columns"]:
     """Return the mask of the tiles that have a changed block within the reach of their beams.
@@ -66,7 +66,7 @@ def first_group(
     return jnp.stack([row, column]).astype(jnp.int32)
 
 
-def reached_blocks(offset: np.ndarray, stride: int) -> np.ndarray:
+def find_reached_blocks(offset: np.ndarray, stride: int) -> np.ndarray:
     """Return the directions in which beams from a tile's nodes reach each block around the tile.
 
     The mask is over blocks and directions, (n, n, D), with the tile's own blocks in the middle.

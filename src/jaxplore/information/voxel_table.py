@@ -29,7 +29,7 @@ from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._xla import on_device
 from jaxplore.geometry.rays import direction_offsets
 from jaxplore.information.beam_table import UNROLL, in_blocks, parts_from
-from jaxplore.information.gain import CellSensor, expected_gain, settled
+from jaxplore.information.gain import CellSensor, expected_gain, settle
 
 
 class VoxelTable(eqx.Module):
@@ -94,7 +94,7 @@ class VoxelTable(eqx.Module):
         Beyond the array nothing passes and nothing is learned. `first` is the voxel (k, j, i) of
         viewpoint (0, 0, 0), and `shape` the numbers of viewpoints along z, y and x; both static.
         """
-        probability = settled(probability, sensor)
+        probability = settle(probability, sensor)
         passing, gains = 1.0 - probability, expected_gain(probability, sensor)
         step, reach = self.stride, self.reach
         widths = []

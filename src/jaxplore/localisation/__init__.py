@@ -24,7 +24,7 @@ from jaxplore.localisation.particles import Particles as Particles
 from jaxplore.localisation.particles import PoseEstimate as PoseEstimate
 from jaxplore.localisation.pose_graph import Graph as Graph
 from jaxplore.localisation.pose_graph import Optimum as Optimum
-from jaxplore.localisation.pose_graph import optimised as optimised
+from jaxplore.localisation.pose_graph import optimise as optimise
 from jaxplore.localisation.scan_matching import ScanMatch as ScanMatch
 from jaxplore.localisation.scan_matching import ScanMatcher as ScanMatcher
 from jaxplore.localisation.surface import EndPoints as EndPoints

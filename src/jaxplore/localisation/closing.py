@@ -18,12 +18,12 @@ from jaxplore.geometry.motion import (
     Matrix,
     between,
     compose,
-    placed,
     rotation,
+    transform_points,
 )
 from jaxplore.geometry.trajectory import motions_between
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
-from jaxplore.localisation.pose_graph import Graph, motion_covariances, optimised
+from jaxplore.localisation.pose_graph import Graph, motion_covariances, optimise
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
 from jaxplore.sensing.beams import Beams, Scan
 
@@ -102,13 +102,13 @@ class LoopCloser(eqx.Module):
             matcher = ScanMatcher(steps=8, spacing=0.125, turn_spacing=0.03, iterations=10)
         self.matcher = matcher
 
-    def closed(
+    def close_loops(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState | None:
         """Look for places that the newest scans see again; return the state with moved scans.
 
         The result has other poses of scans, of the robot and of surfaces. It is None if no scan has
-        moved; then `state.closures` may have changed all the same, see `examined`.
+        moved; then `state.closures` may have changed all the same, see `find_loops`.
 
         Args:
             localiser: the localiser.
@@ -118,15 +118,15 @@ class LoopCloser(eqx.Module):
         Raises:
             ValueError: an argument of another class; GTSAM is not installed.
         """
-        examined = self.examined(localiser, state, sensors)
-        return self.settled(localiser, examined, sensors)
+        examined = self.find_loops(localiser, state, sensors)
+        return self.optimise_poses(localiser, examined, sensors)
 
-    def examined(
+    def find_loops(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState:
         """Return the state with the loops that the newest scans close; nothing has moved yet.
 
-        Arguments and errors are those of `closed`.
+        Arguments and errors are those of `close_loops`.
         """
         _check(localiser, state, sensors)
         number, closures = int(state.scans.number), state.closures
@@ -149,7 +149,7 @@ class LoopCloser(eqx.Module):
                 way[newer] - way > float(localiser.memory)
             )
             place = np.flatnonzero(near)
-            found = _matched(
+            found = _match(
                 (self.matcher, localiser, tuple(sensors)),
                 state,
                 *(jnp.asarray(each, jnp.int32) for each in (place[0], place[-1] + 1, older, newer)),
@@ -189,12 +189,12 @@ class LoopCloser(eqx.Module):
         error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
         return bool(error @ np.linalg.solve(expected, error) <= float(self.most_stds) ** 2)
 
-    def settled(
+    def optimise_poses(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState | None:
         """Return the state whose scans fit the closed loops; None if they fit well enough.
 
-        Arguments and errors are those of `closed`.
+        Arguments and errors are those of `close_loops`.
         """
         _check(localiser, state, sensors)
         scans, closures = state.scans, state.closures
@@ -206,12 +206,12 @@ class LoopCloser(eqx.Module):
         wanted = np.asarray(closures.motions)[:loops]
         if _greatest_error(poses, pairs, wanted) <= float(self.tolerance):
             return None
-        best = optimised(pose_graph(state))
+        best = optimise(pose_graph(state))
         moved = np.asarray(scans.poses).copy()
         moved[:number] = best.poses
         if np.abs(best.poses[:, :2] - poses[:, :2]).max() <= 0.5 * float(self.tolerance):
             return None
-        return _rebuilt(
+        return _rebuild(
             (localiser, tuple(sensors)),
             state,
             jnp.asarray(moved, jnp.float32),
@@ -274,7 +274,7 @@ def _greatest_error(poses: np.ndarray, pairs: np.ndarray, wanted: np.ndarray) ->
 
 
 @eqx.filter_jit
-def _matched(
+def _match(
     given: tuple[ScanMatcher, Localiser, tuple[Beams, ...]],
     state: LocaliserState,
     first: Count,
@@ -296,20 +296,20 @@ def _matched(
     covariance = back @ (match.covariance + floor()) @ back.T
     motion = between(old, match.pose)
     contradicted = jnp.maximum(
-        _contradicted(sensors[0], scan, old_scan, motion),
-        _contradicted(sensors[0], old_scan, scan, between(match.pose, old)),
+        _measure_contradiction(sensors[0], scan, old_scan, motion),
+        _measure_contradiction(sensors[0], old_scan, scan, between(match.pose, old)),
     )
     return _Found(motion, covariance, match.share, contradicted)
 
 
-def _contradicted(sensor: Beams, scan: Scan, other: Scan, motion: Pose) -> Scalar:
+def _measure_contradiction(sensor: Beams, scan: Scan, other: Scan, motion: Pose) -> Scalar:
     """Return the share of the points of a scan that lie where beams of another scan passed.
 
     A point contradicts the beam in whose direction it is, and the ones beside it, if it lies more
     than `CLEAR` before what each of them met. `motion` is the pose of the first scan in the frame
     of the other one.
     """
-    points = placed(motion, scan.points(sensor))
+    points = transform_points(motion, scan.points(sensor))
     x, y = jnp.unstack(points, axis=1)
     number = sensor.num_beams
     bearing = (jnp.arctan2(y, x) - float(sensor.beam_angles[0])) % (2.0 * jnp.pi)
@@ -328,7 +328,7 @@ def _contradicted(sensor: Beams, scan: Scan, other: Scan, motion: Pose) -> Scala
 
 
 @eqx.filter_jit
-def _rebuilt(
+def _rebuild(
     given: tuple[Localiser, tuple[Beams, ...]],
     state: LocaliserState,
     poses: Float[Array, "K 3"],

@@ -105,7 +105,7 @@ class PoseEstimator(eqx.Module):
         """
 
     @abc.abstractmethod
-    def predicted(self, state: Any, motion: Pose, elapsed: Scalar) -> Any:
+    def predict(self, state: Any, motion: Pose, elapsed: Scalar) -> Any:
         """Return the state after a motion.
 
         Args:
@@ -115,7 +115,7 @@ class PoseEstimator(eqx.Module):
         """
 
     @abc.abstractmethod
-    def corrected(self, state: Any, scans: Sequence[Scan], sensors: Sequence[Beams]) -> Any:
+    def correct(self, state: Any, scans: Sequence[Scan], sensors: Sequence[Beams]) -> Any:
         """Return the state after scans.
 
         Args:

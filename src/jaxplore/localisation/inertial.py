@@ -128,9 +128,9 @@ class InertialOdometry(OdometryModel):
         along = increment[:2] + (errors.velocity + 0.5 * gained) * elapsed
         turn = increment[2] + errors.gyro * elapsed + noise[2]
         velocity = _velocity(increment, elapsed)
-        kept, added = self._wandered(elapsed)
+        kept, added = self._decay_bias(elapsed)
         after = InertialErrors(
-            _carried(velocity, errors.velocity + gained, increment[2], turn),
+            _rotate_error(velocity, errors.velocity + gained, increment[2], turn),
             kept * errors.acceleration + self.acceleration_bias * added * normal[3:5],
             kept * errors.gyro + self.gyro_bias * added * normal[5],
         )
@@ -161,7 +161,7 @@ class InertialOdometry(OdometryModel):
         """Return what is known of the errors (5,) at the start: a robot at rest, unknown biases."""
         return ErrorEstimate(jnp.zeros(5), jnp.diag(self._bias_variances()), jnp.zeros((3, 5)))
 
-    def predicted(self, known: Reckoning, motion: Pose, elapsed: Scalar) -> Reckoning:
+    def predict(self, known: Reckoning, motion: Pose, elapsed: Scalar) -> Reckoning:
         """Return what is known after a motion, by an extended Kalman filter; see `OdometryModel`.
 
         Args:
@@ -170,26 +170,26 @@ class InertialOdometry(OdometryModel):
             elapsed: time that it took [s].
         """
         errors = self.estimate() if known.errors is None else known.errors
-        kept, added = self._wandered(elapsed)
+        kept, added = self._decay_bias(elapsed)
 
-        def after(values: Float[Array, "8"], noise: Float[Array, "3"]) -> Float[Array, "8"]:
+        def propagate(values: Float[Array, "8"], noise: Float[Array, "3"]) -> Float[Array, "8"]:
             """Return the true pose and errors after the measured motion, by those before it."""
             pose, error, bias = values[:3], values[3:5], values[5:]
             gained = bias[:2] * elapsed + noise[:2]
             along = motion[:2] - (error + 0.5 * gained) * elapsed
             turn = motion[2] - bias[2] * elapsed - noise[2]
             moved = jnp.append(along, turn)
-            carried = _carried(_velocity(moved, elapsed), error + gained, turn, motion[2])
+            carried = _rotate_error(_velocity(moved, elapsed), error + gained, turn, motion[2])
             return jnp.concatenate([compose(pose, moved), carried, kept * bias])
 
         mean, still = jnp.concatenate([known.pose, errors.mean]), jnp.zeros(3)
-        by_values, by_noise = jax.jacfwd(after, (0, 1))(mean, still)
+        by_values, by_noise = jax.jacfwd(propagate, (0, 1))(mean, still)
         spread = jnp.block([[known.covariance, errors.cross], [errors.cross.T, errors.covariance]])
         noisy = by_noise * self._noise(elapsed)
         wandered = jnp.concatenate([jnp.zeros(3), added**2 * self._bias_variances()])
         spread = by_values @ spread @ by_values.T + noisy @ noisy.T + jnp.diag(wandered)
         spread = 0.5 * (spread + spread.T)
-        mean = after(mean, still)
+        mean = propagate(mean, still)
         moved = mean[:2] - known.pose[:2]
         return Reckoning(
             mean[:3],
@@ -209,7 +209,7 @@ class InertialOdometry(OdometryModel):
         bias = self.acceleration_bias
         return jnp.stack([nothing, nothing, bias, bias, self.gyro_bias]) ** 2
 
-    def _wandered(self, elapsed: Scalar) -> tuple[Scalar, Scalar]:
+    def _decay_bias(self, elapsed: Scalar) -> tuple[Scalar, Scalar]:
         """Return which share of a bias is left, and the share of its spread that is new."""
         share = elapsed / self.bias_time
         return jnp.exp(-share), jnp.sqrt(-jnp.expm1(-2.0 * share))
@@ -221,16 +221,16 @@ def _velocity(motion: Pose, elapsed: Scalar) -> Velocity:
     return jnp.where(is_timed, motion[:2] / jnp.where(is_timed, elapsed, 1.0), 0.0)
 
 
-def _carried(velocity: Velocity, error: Velocity, turn: Scalar, measured: Scalar) -> Velocity:
+def _rotate_error(velocity: Velocity, error: Velocity, turn: Scalar, measured: Scalar) -> Velocity:
     """Return the error of a velocity in the frame after a turn.
 
     The true velocity and its error are in the frame before the turn [m/s]. `turn` is the true turn,
     and `measured` the turn as it is measured [rad].
     """
-    return _turned(velocity + error, -measured) - _turned(velocity, -turn)
+    return _rotate(velocity + error, -measured) - _rotate(velocity, -turn)
 
 
-def _turned(vector: Velocity, angle: Scalar) -> Velocity:
+def _rotate(vector: Velocity, angle: Scalar) -> Velocity:
     """Return a vector (2,) turned by an angle [rad]."""
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     x, y = jnp.unstack(vector)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import GridMask, Key, Pose, Scalar
-from jaxplore.geometry.motion import placed
+from jaxplore.geometry.motion import transform_points
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -70,7 +70,7 @@ class LikelihoodField(eqx.Module):
             distance_std: standard deviation of the distance from a wall [m].
             outlier_share: least likelihood of a beam, that of one which fits nothing on the map.
         """
-        distance = jax.vmap(self.distance)(placed(pose, points))
+        distance = jax.vmap(self.distance)(transform_points(pose, points))
         fit = jnp.exp(-0.5 * (distance / distance_std) ** 2)
         each = jnp.log((1.0 - outlier_share) * fit + outlier_share)
         return jnp.where(is_counted, each, 0.0).sum()

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Flag, Key, Pose, Scalar
-from jaxplore.geometry.motion import Matrix, between, moved_covariance, rotation
+from jaxplore.geometry.motion import Matrix, between, propagate_covariance, rotation
 from jaxplore.localisation.estimator import PoseEstimator
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import ErrorEstimate, OdometryModel, Reckoning
@@ -168,7 +168,7 @@ class Localiser(PoseEstimator):
             self.odometry.estimate(),
         )
 
-    def predicted(self, state: LocaliserState, motion: Pose, elapsed: Scalar) -> LocaliserState:
+    def predict(self, state: LocaliserState, motion: Pose, elapsed: Scalar) -> LocaliserState:
         """Return the state after a motion.
 
         Args:
@@ -181,9 +181,9 @@ class Localiser(PoseEstimator):
         """
         _kinds.instance("state", state, LocaliserState)
         known = Reckoning(state.pose, state.covariance, state.errors, state.way)
-        return state._replace(**self.odometry.predicted(known, motion, elapsed)._asdict())
+        return state._replace(**self.odometry.predict(known, motion, elapsed)._asdict())
 
-    def corrected(
+    def correct(
         self, state: LocaliserState, scans: Sequence[Scan], sensors: Sequence[Beams]
     ) -> LocaliserState:
         """Return the state after scans: the pose corrected, and the surfaces of the first added.
@@ -207,7 +207,7 @@ class Localiser(PoseEstimator):
         covariance = jnp.where(is_matched, match.covariance, state.covariance)
         errors = state.errors
         if errors is not None:
-            errors = errors.corrected(state.pose, state.covariance, pose, covariance)
+            errors = errors.correct(state.pose, state.covariance, pose, covariance)
         state = state._replace(
             pose=pose,
             covariance=covariance,
@@ -215,9 +215,9 @@ class Localiser(PoseEstimator):
             surface=state.surface.with_scan(pose, self._fill(ends, sensors[0]), state.way),
             share=match.share,
         )
-        return self._stored(state, scans)
+        return self._store(state, scans)
 
-    def _stored(self, state: LocaliserState, scans: Sequence[Scan]) -> LocaliserState:
+    def _store(self, state: LocaliserState, scans: Sequence[Scan]) -> LocaliserState:
         """Return the state with the scans stored if the robot has moved far enough."""
         before = state.scans.poses[state.scans.last]
         way = state.way - state.scans.way[state.scans.last]
@@ -230,7 +230,7 @@ class Localiser(PoseEstimator):
         # Nothing was measured before the first scan.
         local = jnp.where(is_first, floor(), local)
         moved = jnp.where(is_first, 0.0, motion)
-        drift = moved_covariance(before, moved, state.drift, local)
+        drift = propagate_covariance(before, moved, state.drift, local)
         stored = state.scans.with_scan(is_due, state.pose, moved, local, state.way, scans)
         errors = state.errors
         if errors is not None:

@@ -135,11 +135,11 @@ def draw_map(sensor: Sensor, scans: Scan, poses: _Floats, resolution: float) -> 
     # Beams without an echo often met glass or something black: they say nothing of what is free.
     returned = Scan(jnp.where(scans.is_return, scans.ranges, 0.0), scans.is_return)
     model = InverseSensorModel.from_odds(clamp=(-CERTAIN, CERTAIN))
-    return _drawn(sensor, model, blank, returned, jnp.asarray(poses, jnp.float32))
+    return _draw(sensor, model, blank, returned, jnp.asarray(poses, jnp.float32))
 
 
 @eqx.filter_jit
-def _drawn(
+def _draw(
     sensor: Sensor,
     model: InverseSensorModel,
     grid: OccupancyGrid,

@@ -30,8 +30,8 @@ from jaxplore.localisation.log_drawing import (
     log_sensor,
 )
 from jaxplore.localisation.log_odometry import (
-    drifted_motions,
     fit_odometry,
+    measure_motions,
     wide_odometry,
 )
 from jaxplore.localisation.log_trust import Trust, judge_poses
@@ -168,7 +168,7 @@ def map_log(
         motions = steps_along(log.measured)
     else:
         assert key is not None
-        motions = np.asarray(drifted_motions(log, drift, key)[0], np.float64)
+        motions = np.asarray(measure_motions(log, drift, key)[0], np.float64)
     dead_reckoned = accumulate_motions(first, motions)
     used = _thin_scans(dead_reckoned)
     sensor = log_sensor(log, max_range)
@@ -199,17 +199,17 @@ def map_log(
             _localiser_of(wide_odometry(), sampling, len(used)),
             min(SCANS_TO_FIT, len(used)),
         )
-        state, track = drive.localise(wide, *drive.begun(wide, first), 0, number)
+        state, track = drive.localise(wide, *drive.begin(wide, first), 0, number)
         matched = np.asarray(_poses(track, state.scans.poses), np.float64)[:number]
         model = fit_odometry(np.asarray(drive.motions, np.float64)[1:number], matched)
     if localiser is None:
         localiser = _localiser_of(model, sampling, len(used))
-    state, track = drive.begun(localiser, first)
+    state, track = drive.begin(localiser, first)
     for begin in range(0, len(used), SCANS_PER_SEARCH):
         end = min(begin + SCANS_PER_SEARCH, len(used))
         state, track = drive.localise(localiser, state, track, begin, end)
-        state = closer.examined(localiser, state, drive.sensors)
-        settled = closer.settled(localiser, state, drive.sensors)
+        state = closer.find_loops(localiser, state, drive.sensors)
+        settled = closer.optimise_poses(localiser, state, drive.sensors)
         state = state if settled is None else settled
         on_progress(int(used[end - 1]) + 1, int(state.closures.number))
     found = np.asarray(_poses(track, state.scans.poses), np.float64)
@@ -293,7 +293,7 @@ class _Drive(NamedTuple):
     frame: GridFrame
     shape: tuple[int, int]
 
-    def begun(self, localiser: Localiser, pose: _Floats) -> tuple[LocaliserState, _Track]:
+    def begin(self, localiser: Localiser, pose: _Floats) -> tuple[LocaliserState, _Track]:
         """Return the state before the first scan."""
         number = len(self.motions)
         state = localiser.init(jnp.asarray(pose, jnp.float32), self.frame, self.shape, self.sensors)
@@ -305,13 +305,11 @@ class _Drive(NamedTuple):
         """Return the state after the scans from `begin` to before `end`."""
         first, behind = (jnp.asarray(each, jnp.int32) for each in (begin, end))
         given = (localiser, self.sensors)
-        return _localised(
-            given, state, track, self.motions, self.elapsed, self.scans, first, behind
-        )
+        return _localise(given, state, track, self.motions, self.elapsed, self.scans, first, behind)
 
 
 @eqx.filter_jit
-def _localised(
+def _localise(
     given: tuple[Localiser, tuple[Beams, ...]],
     state: LocaliserState,
     track: _Track,
@@ -326,9 +324,9 @@ def _localised(
 
     def step(index: Count, carry: tuple[LocaliserState, _Track]) -> tuple[LocaliserState, _Track]:
         before, track = carry
-        moved = localiser.predicted(before, motions[index], elapsed[index])
+        moved = localiser.predict(before, motions[index], elapsed[index])
         scan = Scan(scans.ranges[index], scans.is_return[index])
-        after = localiser.corrected(moved, [scan], sensors)
+        after = localiser.correct(moved, [scan], sensors)
         last = after.scans.last
         since = between(after.scans.poses[last], after.pose)
         return after, _Track(track.since.at[index].set(since), track.stored.at[index].set(last))

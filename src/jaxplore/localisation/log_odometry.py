@@ -32,7 +32,7 @@ def wide_odometry() -> Odometry:
     )
 
 
-def drifted_motions(
+def measure_motions(
     log: LaserLog, odometry: Odometry, key: Key
 ) -> tuple[Float[Array, "N 3"], Float[Array, " N"]]:
     """Return the motions between the poses of a log as an odometry measures them, and their times.

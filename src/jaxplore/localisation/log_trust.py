@@ -109,12 +109,12 @@ def _compare(
     counts = np.zeros(3)
     for one, other in ((newer, older), (older, newer)):
         motion = motions_between(poses[[other]], poses[[one]])[0]
-        counts += _seen(log, one, other, motion, max_range)
+        counts += _count_seen(log, one, other, motion, max_range)
     before, on, seen = counts
     return (before / seen, on / seen) if seen >= FEWEST_POINTS else None
 
 
-def _seen(
+def _count_seen(
     log: LaserLog, scan: int, other: int, motion: _Floats, max_range: float
 ) -> tuple[int, int, int]:
     """Return how many points of a scan are before what another one met, on it, and in its view.

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, Key, Pose, Scalar
-from jaxplore.geometry.motion import Matrix, compose, moved_covariance
+from jaxplore.geometry.motion import Matrix, compose, propagate_covariance
 from jaxplore.localisation.odometry_model import ErrorEstimate, OdometryModel, Reckoning
 
 
@@ -155,7 +155,7 @@ class Odometry(OdometryModel):
     def estimate(self) -> None:
         """Return None: nothing is estimated of the errors; see `OdometryModel`."""
 
-    def predicted(self, known: Reckoning, motion: Pose, elapsed: Scalar) -> Reckoning:
+    def predict(self, known: Reckoning, motion: Pose, elapsed: Scalar) -> Reckoning:
         """Return what is known after a motion; see `OdometryModel`.
 
         Args:
@@ -166,7 +166,7 @@ class Odometry(OdometryModel):
         added = self.covariance(motion, elapsed)
         return Reckoning(
             compose(known.pose, motion),
-            moved_covariance(known.pose, motion, known.covariance, added),
+            propagate_covariance(known.pose, motion, known.covariance, added),
             None,
             known.way + jnp.hypot(motion[0], motion[1]),
         )

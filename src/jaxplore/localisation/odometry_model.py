@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Key, Pose, Scalar
-from jaxplore.geometry.motion import Matrix, wrapped
+from jaxplore.geometry.motion import Matrix, wrap_angle
 
 Velocity = Float[Array, "2"]
 
@@ -26,7 +26,7 @@ class ErrorEstimate(NamedTuple):
     covariance: Float[Array, "E E"]
     cross: Float[Array, "3 E"]
 
-    def corrected(
+    def correct(
         self, prior: Pose, spread: Matrix, pose: Pose, covariance: Matrix
     ) -> "ErrorEstimate":
         """Return the estimate after something has corrected the pose, and no errors directly.
@@ -48,16 +48,16 @@ class ErrorEstimate(NamedTuple):
         inverse = jnp.linalg.inv(scale[:, None] * spread * scale)
         gain = self.cross.T @ (scale[:, None] * inverse * scale)
         away = pose - prior
-        away = away.at[2].set(wrapped(away[2]))
+        away = away.at[2].set(wrap_angle(away[2]))
         known = self.covariance + gain @ (covariance - spread) @ gain.T
         found = ErrorEstimate(self.mean + gain @ away, 0.5 * (known + known.T), covariance @ gain.T)
         is_finite = jnp.stack([jnp.isfinite(each).all() for each in found]).all()
-        alone = self.uncoupled()
+        alone = self.uncouple()
         return ErrorEstimate(
             *(jnp.where(is_finite, new, old) for new, old in zip(found, alone, strict=True))
         )
 
-    def uncoupled(self) -> "ErrorEstimate":
+    def uncouple(self) -> "ErrorEstimate":
         """Return the estimate with a pose that is counted from where the robot is: independent."""
         return self._replace(cross=jnp.zeros_like(self.cross))
 
@@ -131,7 +131,7 @@ class OdometryModel(eqx.Module):
         """Return what is known of the errors at the start; None if nothing is estimated of them."""
 
     @abc.abstractmethod
-    def predicted(self, known: Reckoning, motion: Pose, elapsed: Scalar) -> Reckoning:
+    def predict(self, known: Reckoning, motion: Pose, elapsed: Scalar) -> Reckoning:
         """Return what is known after a motion.
 
         Args:

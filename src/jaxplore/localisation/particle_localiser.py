@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Flag, Key, Pose, Scalar
-from jaxplore.geometry.motion import Matrix, compose, moved_covariance, rotation
+from jaxplore.geometry.motion import Matrix, compose, propagate_covariance, rotation
 from jaxplore.localisation.estimator import PoseEstimator
 from jaxplore.localisation.likelihood_field import LikelihoodField
 from jaxplore.localisation.odometry_model import ErrorEstimate, OdometryModel, Reckoning
@@ -230,14 +230,14 @@ class ParticleLocaliser(PoseEstimator):
             none,
         )
 
-    def predicted(self, state: ParticleState, motion: Pose, elapsed: Scalar) -> ParticleState:
-        """Return the state after a motion; see `PoseEstimator.predicted`.
+    def predict(self, state: ParticleState, motion: Pose, elapsed: Scalar) -> ParticleState:
+        """Return the state after a motion; see `PoseEstimator.predict`.
 
         Particles move at the next scan: the odometry's variances do not depend on the rate.
         """
         _kinds.instance("state", state, ParticleState)
         known = Reckoning(state.motion, state.covariance, state.errors, state.way)
-        known = self.expected_odometry.predicted(known, motion, elapsed)
+        known = self.expected_odometry.predict(known, motion, elapsed)
         return state._replace(
             motion=known.pose,
             covariance=known.covariance,
@@ -246,10 +246,10 @@ class ParticleLocaliser(PoseEstimator):
             way=known.way,
         )
 
-    def corrected(
+    def correct(
         self, state: ParticleState, scans: Sequence[Scan], sensors: Sequence[Beams]
     ) -> ParticleState:
-        """Return the state after scans; see `PoseEstimator.corrected`."""
+        """Return the state after scans; see `PoseEstimator.correct`."""
         _kinds.instance("state", state, ParticleState)
         _kinds.instances("scans", scans, Scan)
         _kinds.instances("sensors", sensors, Beams)
@@ -272,7 +272,7 @@ class ParticleLocaliser(PoseEstimator):
             found=found,
             motion=jnp.zeros(3),
             covariance=jnp.zeros((3, 3)),
-            errors=_learned(state, found),
+            errors=_learn_errors(state, found),
             elapsed=jnp.zeros(()),
             # A robot that does not know where it is claims no pose.
             scans=state.scans.with_pose(is_due & found.is_converged, found.pose, state.way),
@@ -280,14 +280,14 @@ class ParticleLocaliser(PoseEstimator):
         )
 
 
-def _learned(state: ParticleState, found: PoseEstimate) -> ErrorEstimate | None:
+def _learn_errors(state: ParticleState, found: PoseEstimate) -> ErrorEstimate | None:
     """Return what a scan tells of the odometry's errors; `state` is that before the scan."""
     errors, before = state.errors, state.found
     if errors is None:
         return None
-    spread = moved_covariance(before.pose, state.motion, before.covariance, state.covariance)
+    spread = propagate_covariance(before.pose, state.motion, before.covariance, state.covariance)
     known = errors._replace(cross=rotation(before.pose[2]) @ errors.cross)
-    known = known.corrected(state.pose, spread, found.pose, found.covariance)
+    known = known.correct(state.pose, spread, found.pose, found.covariance)
     # Another place than before says nothing of the motion between them.
     is_same = before.is_converged & found.is_converged
     mean, covariance, _ = (

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxplore import _checks, _covariances, _kinds
 from jaxplore._limits import LONGEST_RANGE, MOST_BEAMS, MOST_SAMPLES
 from jaxplore._types import ArrayLike, Flag, Key, Pose, Rows, Scalar, Vector
-from jaxplore.geometry.motion import Matrix, compose, wrapped
+from jaxplore.geometry.motion import Matrix, compose, wrap_angle
 from jaxplore.localisation.likelihood_field import LikelihoodField, Points, Poses
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import OdometryModel
@@ -247,7 +247,7 @@ class ParticleFilter(eqx.Module):
         normal = jax.random.normal(key, particles.poses.shape)
         poses = jax.vmap(compose)(particles.poses, increment + stds * normal)
         # Single precision would lose digits of a yaw that grows with each turn.
-        return particles._replace(poses=poses.at[:, 2].set(wrapped(poses[:, 2])))
+        return particles._replace(poses=poses.at[:, 2].set(wrap_angle(poses[:, 2])))
 
     def update(
         self,
@@ -268,11 +268,13 @@ class ParticleFilter(eqx.Module):
         """
         number = self.num_particles
         keys = jax.random.split(key, 3)
-        points, is_counted = self._counted(points, is_return)
+        points, is_counted = self._select_ends(points, is_return)
         logs = self.log_likelihoods(particles.poses, points, is_counted, field)
         # A pose that is not finite has no likelihood, and is replaced below.
         is_lost = ~jnp.isfinite(particles.poses).all(axis=1)
-        weights = _updated(particles.weights, jnp.where(is_lost, -jnp.inf, self.temper * logs))
+        weights = _update_weights(
+            particles.weights, jnp.where(is_lost, -jnp.inf, self.temper * logs)
+        )
         count = is_counted.sum()
         per_beam = jnp.exp(logs / jnp.maximum(count, 1).astype(jnp.float32))
         fit = (particles.weights * jnp.where(is_lost, 0.0, per_beam)).sum()
@@ -284,7 +286,7 @@ class ParticleFilter(eqx.Module):
         is_due = (2.0 * effective_sample_size(weights) < number) | (is_random | is_lost).any()
         index = low_variance_indices(weights, jax.random.uniform(keys[1], ()))
         is_random = is_random | is_lost[index]
-        fresh = self._fitting_poses(points, is_counted, field, keys[2])
+        fresh = self._sample_fitting_poses(points, is_counted, field, keys[2])
         drawn = jnp.where(is_random[:, None], fresh, particles.poses[index])
         return Particles(
             poses=jnp.where(is_due, drawn, particles.poses),
@@ -333,7 +335,7 @@ class ParticleFilter(eqx.Module):
         pose = _mean_pose(poses, members, centre)
         share = members.sum()
         away = jnp.where((members > 0.0)[:, None], poses - pose, 0.0)
-        away = away.at[:, 2].set(wrapped(away[:, 2]))
+        away = away.at[:, 2].set(wrap_angle(away[:, 2]))
         covariance = (members[:, None] * away).T @ away / jnp.maximum(share, 1e-9)
         fits = particles.fast >= CONVERGED_SHARE * particles.slow
         return PoseEstimate(pose, covariance, share, (share >= CONVERGED_SHARE) & fits)
@@ -344,7 +346,7 @@ class ParticleFilter(eqx.Module):
         weights = jnp.full((number,), 1.0 / number, jnp.float32)
         return Particles(poses, weights, self.usual_fit, self.usual_fit)
 
-    def _fitting_poses(
+    def _sample_fitting_poses(
         self, points: Points, is_counted: Bool[Array, " B"], field: LikelihoodField, key: Key
     ) -> Poses:
         """Return poses (K, 3) that are drawn from K random ones by how well a scan fits."""
@@ -359,7 +361,7 @@ class ParticleFilter(eqx.Module):
         weights = jax.nn.softmax(logs)
         return poses[low_variance_indices(weights, jax.random.uniform(keys[1], ()))]
 
-    def _counted(
+    def _select_ends(
         self, points: Points, is_return: Bool[Array, " B"]
     ) -> tuple[Float[Array, "M 2"], Bool[Array, " M"]]:
         """Return the ends of the beams that count, and the mask of those that are valid."""
@@ -377,11 +379,11 @@ class ParticleFilter(eqx.Module):
         """Return the mask of the poses that belong to the cluster around a pose."""
         away = poses - centre
         distance = jnp.hypot(away[:, 0], away[:, 1])
-        turn = jnp.abs(wrapped(away[:, 2]))
+        turn = jnp.abs(wrap_angle(away[:, 2]))
         return (distance <= self.cluster_radius) & (turn <= self.cluster_angle)
 
 
-def _updated(weights: Weights, log_likelihoods: Weights) -> Weights:
+def _update_weights(weights: Weights, log_likelihoods: Weights) -> Weights:
     """Return weights times likelihoods, so that they add up to 1; as before if none is left."""
     logs = jnp.log(weights) + log_likelihoods
     is_left = logs.max() > -jnp.inf

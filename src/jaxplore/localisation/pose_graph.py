@@ -49,7 +49,7 @@ class Optimum(NamedTuple):
     error: float
 
 
-def optimised(graph: Graph) -> Optimum:
+def optimise(graph: Graph) -> Optimum:
     """Return the poses that minimise the squared errors of all motions and closed loops.
 
         sum over motions of |e|^2 + sum over loops of huber(|e|),

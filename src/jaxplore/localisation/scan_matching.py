@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, Count, Pose, Scalar
-from jaxplore.geometry.motion import Matrix, placed
+from jaxplore.geometry.motion import Matrix, transform_points
 from jaxplore.localisation.surface import EndPoints, SurfaceMap
 
 TIE = 1e-3
@@ -145,7 +145,7 @@ class ScanMatcher(eqx.Module):
         """
         prior = jnp.linalg.inv(covariance)
         start = self.search(surface, ends, guess, covariance, way)
-        kept = _measured(*self._system(surface, ends, start, way)[:2])
+        kept = _filter_information(*self._system(surface, ends, start, way)[:2])
 
         def step(_: Count, pose: Pose) -> Pose:
             information, _tilt, gradient, *_rest = self._system(surface, ends, pose, way)
@@ -178,7 +178,7 @@ class ScanMatcher(eqx.Module):
         number = jnp.maximum(few.is_point.sum(dtype=jnp.float32), 1.0)
 
         def score(offset: Pose) -> Scalar:
-            cells = jax.vmap(surface.frame.to_cell)(placed(guess + offset, few.points))
+            cells = jax.vmap(surface.frame.to_cell)(transform_points(guess + offset, few.points))
             away = jax.vmap(surface.nearest, (0, None))(cells, way)
             # Unknown cells are a band away, and count nothing.
             near = jnp.where(away < surface.band, jnp.exp(-0.5 * (away / self.sigma) ** 2), 0.0)
@@ -229,8 +229,8 @@ class ScanMatcher(eqx.Module):
         """Return the distances of the end points, their slopes, the points relative to the sensor,
         which of them count, their weights, and the weighted mean of the squares, at least that of
         `LEAST_STD`."""
-        points = placed(pose, ends.points)
-        own = placed(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
+        points = transform_points(pose, ends.points)
+        own = transform_points(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
         # In the middle of the band: on the surface, points before it are known further than points
         # behind it. Their mean would pull the pose ahead in clutter, at every scan.
         shift = 0.5 * (surface.band - surface.depth)
@@ -283,7 +283,7 @@ def _rows(slope: Float[Array, "N 2"], arm: Float[Array, "N 2"]) -> Float[Array, 
     return jnp.concatenate([slope, by_yaw[:, None]], axis=1)
 
 
-def _measured(information: Matrix, tilt: Matrix) -> Matrix:
+def _filter_information(information: Matrix, tilt: Matrix) -> Matrix:
     """Return the matrix K that keeps of an information A what errors of normals do not explain.
 
     Along a corridor, normals with errors seem to measure the position. In the basis in which the

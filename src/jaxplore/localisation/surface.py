@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import ArrayLike, GridMask, GridValues, Pose, Position, Scalar
-from jaxplore.geometry.motion import placed
+from jaxplore.geometry.motion import transform_points
 from jaxplore.maps.frame import GridFrame
 from jaxplore.sensing.beams import Beams, Scan
 
@@ -147,16 +147,16 @@ class EndPoints(eqx.Module):
             is_one = is_one.at[-1].set(False)
         share = jnp.arange(1, number, dtype=jnp.float32)[:, None, None] / number
 
-        def between(rows: Array, after: Array) -> Array:
+        def interpolate(rows: Array, after: Array) -> Array:
             return (rows + share * (after - rows)).reshape(-1, 2)
 
         feet, feet_after = self._feet(), following._feet()
-        normals = between(self.normals, following.normals)
+        normals = interpolate(self.normals, following.normals)
         normals = normals / jnp.maximum(jnp.hypot(normals[:, :1], normals[:, 1:]), 1e-6)
         is_between = jnp.tile(is_one, number - 1)
         more = EndPoints(
-            between(self.points, following.points),
-            between(feet, feet_after),
+            interpolate(self.points, following.points),
+            interpolate(feet, feet_after),
             normals,
             is_between,
             is_between,
@@ -237,8 +237,8 @@ class SurfaceMap(eqx.Module):
             way: length of the robot's way so far [m].
         """
         side = self.frame.resolution
-        points, anchors = placed(pose, ends.points), placed(pose, ends.anchors)
-        normals = placed(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
+        points, anchors = transform_points(pose, ends.points), transform_points(pose, ends.anchors)
+        normals = transform_points(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
         # Half a cell apart, so that no cell on the normal is left out.
         shifts = jnp.arange(-round(2 * BEHIND), round(2 * AHEAD) + 1, dtype=jnp.float32)
         steps = shifts * (0.5 * side)

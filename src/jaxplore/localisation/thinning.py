@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxplore._types import Pose
-from jaxplore.geometry.motion import between, compose, moved_covariance
+from jaxplore.geometry.motion import between, compose, propagate_covariance
 from jaxplore.localisation.localiser import LocaliserState
 from jaxplore.localisation.stored_scans import StoredScans
 
@@ -26,7 +26,7 @@ def halve(rows: Array) -> Array:
 
 
 @eqx.filter_jit
-def thinned(state: LocaliserState) -> LocaliserState:
+def thin_scans(state: LocaliserState) -> LocaliserState:
     """Return the state with every second stored scan left out.
 
     Motions between neighbours are composed, with their covariances. A closed loop of a scan that is
@@ -37,14 +37,14 @@ def thinned(state: LocaliserState) -> LocaliserState:
     added = jnp.roll(scans.covariances, -1, axis=0)[1::2]
     # Scan 2 k + 2 follows scan 2 k by the motions 2 k + 1 and 2 k + 2.
     motions = jax.vmap(compose)(first, second)
-    covariances = jax.vmap(moved_covariance)(first, second, scans.covariances[1::2], added)
+    covariances = jax.vmap(propagate_covariance)(first, second, scans.covariances[1::2], added)
     capacity = scans.capacity
 
-    def following(rows: Array, former: Array) -> Array:
+    def shift_rows(rows: Array, former: Array) -> Array:
         after = rows[: (capacity + 1) // 2 - 1]
         return jnp.zeros_like(former).at[1 : 1 + len(after)].set(after)
 
-    def anchored(pair: Array, motion: Pose) -> Pose:
+    def anchor(pair: Array, motion: Pose) -> Pose:
         older, newer = scans.poses[pair], scans.poses[2 * (pair // 2)]
         before = between(newer[0], older[0])
         return compose(compose(before, motion), between(older[1], newer[1]))
@@ -52,8 +52,8 @@ def thinned(state: LocaliserState) -> LocaliserState:
     return state._replace(
         scans=StoredScans(
             halve(scans.poses),
-            following(motions, scans.motions),
-            following(covariances, scans.covariances),
+            shift_rows(motions, scans.motions),
+            shift_rows(covariances, scans.covariances),
             halve(scans.way),
             halve(scans.ranges),
             halve(scans.is_return),
@@ -61,7 +61,7 @@ def thinned(state: LocaliserState) -> LocaliserState:
         ),
         closures=closures._replace(
             pairs=closures.pairs // 2,
-            motions=jax.vmap(anchored)(closures.pairs, closures.motions),
+            motions=jax.vmap(anchor)(closures.pairs, closures.motions),
             examined=(closures.examined + 1) // 2,
         ),
     )

@@ -37,7 +37,7 @@ def clearance_field(blocked: GridMask, frame: GridFrame, max_distance: float) ->
     return ScalarField(values=values, frame=frame, outside=jnp.zeros(()))
 
 
-def closed_cells(
+def find_closed_cells(
     grid: OccupancyGrid, ground: Ground | None, window: Window | None = None
 ) -> GridMask:
     """Return the mask of the cells that are not known to be free, or that the ground blocks.
@@ -68,9 +68,9 @@ def update_clearance(
     the map that may not be entered.
     """
     reach = _reach(max_distance, field.frame.resolution)
-    inner, outer = window.grown(reach), window.grown(2 * reach)
+    inner, outer = window.grow(reach), window.grow(2 * reach)
     values = _distances(blocked(outer), field.frame.resolution, max_distance)
-    renewed = inner.write(field.values, inner.within(outer).read(values))
+    renewed = inner.write(field.values, inner.relative_to(outer).read(values))
     return ScalarField(values=renewed, frame=field.frame, outside=field.outside)
 
 

@@ -86,7 +86,7 @@ class Datum:
         Args:
             points: x and y in the coordinates of the map [m], and anything behind them.
         """
-        local = moved(points, -self.offset)
+        local = move_points(points, -self.offset)
         if self:
             local[..., :2] = np.round(local[..., :2], DECIMALS)
         return local
@@ -99,9 +99,9 @@ class Datum:
         Args:
             points: x and y relative to the datum [m], and anything behind them.
         """
-        return moved(points, self.offset)
+        return move_points(points, self.offset)
 
-    def shown(self, points: Rows) -> np.ndarray:
+    def round_to_map(self, points: Rows) -> np.ndarray:
         """Return `to_map` for a message, far away rounded to micrometres."""
         return np.round(self.to_map(points), DECIMALS) if self else np.asarray(points)
 
@@ -110,7 +110,7 @@ ORIGIN = Datum()
 """The datum of ordinary maps: local coordinates are those of the map."""
 
 
-def moved(points: Rows, offset: np.ndarray, columns: tuple[int, int] = (0, 1)) -> np.ndarray:
+def move_points(points: Rows, offset: np.ndarray, columns: tuple[int, int] = (0, 1)) -> np.ndarray:
     """Return points (..., N) in float64 with an offset (x, y) added to the columns of x and y.
 
     An offset of zero changes nothing, the type included.

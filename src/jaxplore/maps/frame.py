@@ -24,7 +24,7 @@ class GridFrame(eqx.Module):
     interval (-1, 0) onto cell 0.
 
     `map_shape` is the number of rows and columns that are on the map, for arrays that are padded
-    (`OccupancyGrid.padded`); None if all are.
+    (`OccupancyGrid.pad`); None if all are.
 
     Args:
         resolution: side of a cell [m]; static, because the number of cells that a beam can cross
@@ -48,16 +48,16 @@ class GridFrame(eqx.Module):
             _checks.near("origin", np.asarray(self.origin)[:2], PRECISION * self.resolution)
         self.map_shape = None
 
-    def padded(self, map_shape: tuple[int, int]) -> "GridFrame":
+    def pad(self, map_shape: tuple[int, int]) -> "GridFrame":
         """Return the frame of larger arrays with `map_shape` rows and columns on the map."""
         return self._of_map(on_device(np.asarray(map_shape, np.int32)))
 
-    def cropped(self, values: ArrayLike) -> np.ndarray:
+    def crop(self, values: ArrayLike) -> np.ndarray:
         """Return the rows and columns of an array (H, W, ...) that are on the map, in NumPy."""
         array = np.asarray(values)
         if array.ndim < 2 or array.dtype.kind in "OUS":
             raise ValueError(
-                f"values is {_kinds.described(values)}; accepted: an array with rows and columns"
+                f"values is {_kinds.describe(values)}; accepted: an array with rows and columns"
             )
         if self.map_shape is None:
             return array

@@ -15,7 +15,7 @@ from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.chassis import Chassis, Stance
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
-from jaxplore.maps.padding import padded_cells
+from jaxplore.maps.padding import pad_cells
 
 HIGHEST = 1e6
 """Greatest absolute elevation that is accepted [m]: squares of differences stay finite."""
@@ -108,7 +108,7 @@ class Ground(eqx.Module):
             passable = _traversability(traversability, self.elevation.shape)
         self.traversability = jnp.where(is_known, passable, 0.0)
 
-    def padded(self, shape: tuple[int, int]) -> "Ground":
+    def pad(self, shape: tuple[int, int]) -> "Ground":
         """Return the ground in larger arrays, with 0 in the added cells, as off the map.
 
         Args:
@@ -118,14 +118,13 @@ class Ground(eqx.Module):
             ValueError: fewer rows or columns than the ground has.
         """
         filled = [
-            on_device(padded_cells("shape", np.asarray(layer), shape, 0.0))
-            for layer in _layers(self)
+            on_device(pad_cells("shape", np.asarray(layer), shape, 0.0)) for layer in _layers(self)
         ]
         same: Ground = eqx.tree_at(_layers, self, filled)
         return same
 
-    def cropped(self, shape: tuple[int, int]) -> "Ground":
-        """Return the first rows and columns of the ground, as before `padded`."""
+    def crop(self, shape: tuple[int, int]) -> "Ground":
+        """Return the first rows and columns of the ground, as before `pad`."""
         rows, columns = shape
         kept = [on_device(np.asarray(layer)[:rows, :columns]) for layer in _layers(self)]
         same: Ground = eqx.tree_at(_layers, self, kept)

@@ -35,7 +35,7 @@ def lattice_figure(
     from matplotlib.figure import Figure
     from matplotlib.transforms import Affine2D
 
-    cells = np.ma.masked_invalid(frame.cropped(values))
+    cells = np.ma.masked_invalid(frame.crop(values))
     rows, columns = cells.shape
     ends = [[0.0, 0.0], [0.0, columns], [rows, 0.0], [rows, columns]]
     corners = np.asarray(frame.to_world(jnp.asarray(ends)))
@@ -58,10 +58,10 @@ def lattice_figure(
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     figure.colorbar(image, ax=axes, label=label)
-    return shown_in_notebooks(figure)
+    return show_in_notebooks(figure)
 
 
-def shown_in_notebooks(figure: "Figure") -> "Figure":
+def show_in_notebooks(figure: "Figure") -> "Figure":
     """Return the figure, which a notebook then shows at the end of a cell.
 
     By itself a figure that was made without `pyplot` is shown as text.

@@ -18,7 +18,7 @@ from jaxplore.maps.field import bilinear
 from jaxplore.maps.files import ros
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.lattice_figure import lattice_figure
-from jaxplore.maps.padding import padded_cells, padded_shape
+from jaxplore.maps.padding import choose_padded_shape, pad_cells
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +38,7 @@ class OccupancyGrid(eqx.Module):
     its y axis. Off the map the probability is 1. A cell is free below 0.25, occupied above 0.65 and
     unknown in between.
 
-    A compiled program is for one shape of arrays. `padded` adds rows and columns that are off the
+    A compiled program is for one shape of arrays. `pad` adds rows and columns that are off the
     map, so that maps of similar size share a program. Then `map_shape` is the number of rows and
     columns that are on the map.
 
@@ -68,7 +68,7 @@ class OccupancyGrid(eqx.Module):
 
     def __repr__(self) -> str:
         is_known = not _kinds.is_traced(self.probability)
-        values = self.cropped(self.probability) if is_known else self.probability
+        values = self.crop(self.probability) if is_known else self.probability
         height, width = (self.resolution * size for size in values.shape)
         text = f"{type(self).__name__}({width:g} m x {height:g} m, cells of {self.resolution:g} m"
         if is_known:
@@ -124,7 +124,7 @@ class OccupancyGrid(eqx.Module):
         _kinds.instance("datum", datum, Datum)
         ros.write_map(
             path,
-            self.cropped(self.probability),
+            self.crop(self.probability),
             self.resolution,
             datum.to_map(np.asarray(self.frame.origin, np.float64)).tolist(),
             mode=mode,
@@ -135,15 +135,15 @@ class OccupancyGrid(eqx.Module):
 
         See `jaxplore.maps.resample.resample`.
         """
-        values = resample.resample(self.cropped(self.probability), self.resolution, resolution)
+        values = resample.resample(self.crop(self.probability), self.resolution, resolution)
         return type(self)(values, resolution, self.frame.origin)
 
-    def padded(self, shape: tuple[int, int] | None = None) -> "OccupancyGrid":
+    def pad(self, shape: tuple[int, int] | None = None) -> "OccupancyGrid":
         """Return the map in larger arrays, whose further rows and columns are off the map.
 
         Args:
-            shape: rows and columns of the arrays; those of `padded_shape` when absent, where a map
-                that is padded already is returned as it is.
+            shape: rows and columns of the arrays; those of `choose_padded_shape` when absent,
+                where a map that is padded already is returned as it is.
 
         Raises:
             ValueError: fewer rows or columns than the map has.
@@ -151,29 +151,29 @@ class OccupancyGrid(eqx.Module):
         if shape is None:
             if self.map_shape is not None:
                 return self
-            shape = padded_shape(self.shape)
-        values = self.cropped(self.probability)
-        filled = padded_cells("shape", values, shape, OUTSIDE)
+            shape = choose_padded_shape(self.shape)
+        values = self.crop(self.probability)
+        filled = pad_cells("shape", values, shape, OUTSIDE)
         same = OccupancyGrid(filled, self.resolution, self.frame.origin)
         rows, columns = values.shape
         result: OccupancyGrid = eqx.tree_at(
-            lambda grid: grid.frame, same, same.frame.padded((rows, columns))
+            lambda grid: grid.frame, same, same.frame.pad((rows, columns))
         )
         return result
 
-    def unpadded(self) -> "OccupancyGrid":
+    def unpad(self) -> "OccupancyGrid":
         """Return the map in arrays of its own shape: without the rows and columns off the map."""
         if self.map_shape is None:
             return self
-        return OccupancyGrid(self.cropped(self.probability), self.resolution, self.frame.origin)
+        return OccupancyGrid(self.crop(self.probability), self.resolution, self.frame.origin)
 
-    def cropped(self, values: ArrayLike) -> np.ndarray:
+    def crop(self, values: ArrayLike) -> np.ndarray:
         """Return the rows and columns of an array (H, W, ...) that are on the map, in NumPy."""
-        return self.frame.cropped(values)
+        return self.frame.crop(values)
 
     def with_probability(self, probability: GridValues) -> "OccupancyGrid":
         """Return the grid with other probabilities (H, W); they must be 1 off the map."""
-        probability = _checks.shaped("probability", probability, self.shape)
+        probability = _checks.of_shape("probability", probability, self.shape)
         same: OccupancyGrid = eqx.tree_at(lambda grid: grid.probability, self, probability)
         return same
 
@@ -223,10 +223,10 @@ class OccupancyGrid(eqx.Module):
 
         These are the cells whose probability is 0.5 to within 1e-3.
         """
-        _checks.shaped("prior", prior, ())
+        _checks.of_shape("prior", prior, ())
         return self.with_probability(with_prior(self.probability, prior))
 
-    def settled(self) -> "OccupancyGrid":
+    def settle(self) -> "OccupancyGrid":
         """Return the grid with the probability 0 in free cells and 1 in occupied ones.
 
         It is for maps of other programs. Their probabilities are on a scale of their own: a known

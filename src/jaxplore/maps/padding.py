@@ -8,22 +8,22 @@ SMALLEST = 32
 """Step between the smallest sides, and the smallest side [cells]."""
 
 
-def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
+def choose_padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
     """Return the rows and columns to which a map is padded.
 
     Each side is rounded up to 32, 64, 96, 128, 160, ..., 256, 320, 384, 448, 512, 640, ...: there
     are four sizes between a power of two and the next. A side grows by less than a quarter, or 32.
     """
-    rows, columns = (_padded_side(side) for side in shape)
+    rows, columns = (_pad_side(side) for side in shape)
     return rows, columns
 
 
-def _padded_side(side: int) -> int:
+def _pad_side(side: int) -> int:
     step = max(SMALLEST, (1 << (side - 1).bit_length()) // 8)
     return -(-side // step) * step
 
 
-def padded_cells(
+def pad_cells(
     name: str, values: np.ndarray, shape: tuple[int, int], value: float | bool
 ) -> np.ndarray:
     """Return an array (H, W, ...) with rows and columns of a value added at its end.
@@ -45,12 +45,12 @@ def padded_cells(
 def common_shapes(shapes: dict[str, tuple[int, int]], most: int) -> dict[str, tuple[int, int]]:
     """Choose a padded shape for each of several maps, with at most `most` different shapes in all.
 
-    Begins with `padded_shape` of each map. While there are more shapes, the two whose maps need the
-    fewest additional cells in a common one are merged.
+    Begins with `choose_padded_shape` of each map. While there are more shapes, the two whose maps
+    need the fewest additional cells in a common one are merged.
     """
     groups: dict[tuple[int, int], list[str]] = {}
     for name, shape in shapes.items():
-        groups.setdefault(padded_shape(shape), []).append(name)
+        groups.setdefault(choose_padded_shape(shape), []).append(name)
     while len(groups) > most:
         pairs = [
             (_cost(groups, one, other), one, other)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from jaxplore import _text
-from jaxplore.maps.files.world_entries import CHECKS, SHAPES, Row, checked, refuse_unknown
+from jaxplore.maps.files.world_entries import CHECKS, SHAPES, Row, check_entries, refuse_unknown
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def shapes_under(name: str, entries: object) -> Shapes:
         )
     refuse_unknown(f"{name}: ", entries, SHAPES)
     try:
-        return Shapes(**checked(entries, SHAPES))
+        return Shapes(**check_entries(entries, SHAPES))
     except ValueError as error:
         raise ValueError(f"{name}.{error}") from None
 

@@ -277,7 +277,7 @@ class TerrainMap(eqx.Module):
             OSError: the file cannot be written.
         """
         path = Path(path)
-        data = terrain_file.pack(path, _named_arrays(self))
+        data = terrain_file.pack(path, _arrays_by_name(self))
         terrain_file.unpack(path, data, _build_terrain)
         replace_files([(path, data)])
 
@@ -358,7 +358,7 @@ def _least(
     return np.take(both, np.arange(0, 2 * new_size, 2), axis=axis)
 
 
-def _named_arrays(terrain: TerrainMap) -> dict[str, NDArray[Any]]:
+def _arrays_by_name(terrain: TerrainMap) -> dict[str, NDArray[Any]]:
     ground = terrain.ground
     found = {
         "probability": terrain.occupancy,

@@ -19,11 +19,11 @@ def clearance_of_volume(grid: VoxelGrid, reach: int) -> VolumeField:
     side, shape = grid.resolution, grid.shape
     nothing = jnp.zeros(shape)
     everything = Window.at(jnp.zeros(3, jnp.int32), shape, shape)
-    metres = renewed_clearance(grid, nothing, everything, reach)
+    metres = update_clearance(grid, nothing, everything, reach)
     return VolumeField(metres, grid.origin + 0.5 * side, side, jnp.zeros(()))
 
 
-def renewed_clearance(
+def update_clearance(
     grid: VoxelGrid, before: Float[Array, "D H W"], window: Window, reach: int
 ) -> Float[Array, "D H W"]:
     """Return the distances of `clearance_of_volume` [m] after a change in a window.
@@ -33,7 +33,7 @@ def renewed_clearance(
     """
     seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
     # Beyond the map all is closed.
-    squared = squared_distance(_walled(~seen.is_free, window), reach)[1:-1, 1:-1, 1:-1]
+    squared = squared_distance(_add_walls(~seen.is_free, window), reach)[1:-1, 1:-1, 1:-1]
     # From the centre of the nearest closed voxel to its face is half a voxel.
     voxels = jnp.maximum(jnp.sqrt(squared.astype(jnp.float32)) - 0.5, 0.0)
     # Near the rim of the window, what lies outside could be nearer. Nothing changes there.
@@ -80,7 +80,7 @@ def _along(squared: Array, axis: int, reach: int, far: int) -> Array:
     return least
 
 
-def _walled(closed: Bool[Array, "d h w"], window: Window) -> Bool[Array, "d2 h2 w2"]:
+def _add_walls(closed: Bool[Array, "d h w"], window: Window) -> Bool[Array, "d2 h2 w2"]:
     """Return a window with one more layer around, closed where the map ends."""
     walled = jnp.pad(closed, 1)
     for axis, (size, most) in enumerate(zip(window.shape, window.map_shape, strict=True)):

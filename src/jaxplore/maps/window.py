@@ -49,7 +49,7 @@ class Window(eqx.Module):
         cells = math.ceil(reach / frame.resolution) + 1
         return cls.at(frame.to_cell(position) - cells, [2 * cells + 1] * 2, map_shape)
 
-    def grown(self, margin: int) -> "Window":
+    def grow(self, margin: int) -> "Window":
         """Return the window with `margin` cells (static) more on each side, within the map."""
         shape = [size + 2 * margin for size in self.shape]
         return Window.at(self.corner - margin, shape, self.map_shape)
@@ -60,7 +60,7 @@ class Window(eqx.Module):
         ends = self.corner + np.asarray(self.shape, np.int32)
         return jnp.stack([self.corner > 0, ends < np.asarray(self.map_shape)], axis=1)
 
-    def within(self, outer: "Window") -> "Window":
+    def relative_to(self, outer: "Window") -> "Window":
         """Return this window as one of the part of a larger window."""
         return Window(self.corner - outer.corner, self.shape, outer.shape)
 
@@ -68,16 +68,16 @@ class Window(eqx.Module):
         """Return the part of an array whose last axes are those of the map."""
         if self.shape == self.map_shape:
             return values
-        leading = self._leading(values)
+        leading = self._batch_shape(values)
         return jax.lax.dynamic_slice(values, self._start(leading), (*leading, *self.shape))
 
     def write(self, values: Array, part: Array) -> Array:
         """Return an array, whose last axes are those of the map, with another part."""
         if self.shape == self.map_shape:
             return part
-        return jax.lax.dynamic_update_slice(values, part, self._start(self._leading(values)))
+        return jax.lax.dynamic_update_slice(values, part, self._start(self._batch_shape(values)))
 
-    def _leading(self, values: Array) -> tuple[int, ...]:
+    def _batch_shape(self, values: Array) -> tuple[int, ...]:
         return values.shape[: values.ndim - len(self.shape)]
 
     def _start(self, leading: tuple[int, ...]) -> tuple[Array | int, ...]:

@@ -20,7 +20,7 @@ from jaxplore.maps.files.world_entries import (
     SHAPES,
     WORLD_ENTRIES,
     Row,
-    checked,
+    check_entries,
     refuse_unknown,
 )
 from jaxplore.maps.files.world_entries import LabelledObject as LabelledObject
@@ -108,9 +108,11 @@ class World:
         cells = self._cells
         cells.check_resolution(has_walls=bool(self.known.walls or self.hidden.walls))
         cells.check_zones(self.zones)
-        solid = cells.checked_solid(self.known) | cells.checked_solid(self.hidden, "hidden.")
+        solid = cells.rasterise_obstacles(self.known) | cells.rasterise_obstacles(
+            self.hidden, "hidden."
+        )
         # What is gone must be on the map, too, and is free in the true world.
-        cells.checked_solid(self.gone, "gone.")
+        cells.rasterise_obstacles(self.gone, "gone.")
         cells.check_place("start", self.start, solid)
         if self.goal is not None:
             cells.check_place("goal", self.goal, solid)
@@ -141,8 +143,8 @@ class World:
         unexpected: dict[str, Any] = {
             name: shapes_under(name, entries.get(name, {})) for name in UNEXPECTED
         }
-        known = Shapes(**checked(entries, SHAPES))
-        return cls(known=known, **unexpected, **checked(entries, WORLD_ENTRIES))
+        known = Shapes(**check_entries(entries, SHAPES))
+        return cls(known=known, **unexpected, **check_entries(entries, WORLD_ENTRIES))
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> "World":
@@ -202,7 +204,7 @@ class World:
     def truth(self) -> OccupancyGrid:
         """Return the true map: 0.99 in known and hidden obstacles, 0.01 elsewhere."""
         solid = self._cells.solid
-        return self._painted((solid(self.known) | solid(self.hidden), SOLID_PROBABILITY))
+        return self._paint((solid(self.known) | solid(self.hidden), SOLID_PROBABILITY))
 
     def prior(self) -> OccupancyGrid:
         """Return the robot's map at the start.
@@ -211,9 +213,9 @@ class World:
         obstacles are absent.
         """
         cells = self._cells
-        return self._painted(
+        return self._paint(
             # Later layers cover earlier ones: known obstacles inside a zone are known.
-            (cells.covered("zones", self.zones), UNKNOWN_PROBABILITY),
+            (cells.rasterise("zones", self.zones), UNKNOWN_PROBABILITY),
             (cells.solid(self.known) | cells.solid(self.gone), SOLID_PROBABILITY),
         )
 
@@ -232,7 +234,7 @@ class World:
     def _cells(self) -> WorldCells:
         return WorldCells(self.size, self.origin, self.resolution, self.wall_reach)
 
-    def _painted(self, *layers: tuple[NDArray[np.bool_], float]) -> OccupancyGrid:
+    def _paint(self, *layers: tuple[NDArray[np.bool_], float]) -> OccupancyGrid:
         probability = np.full(self.shape, FREE_PROBABILITY, np.float32)
         for mask, value in layers:
             probability[mask] = value

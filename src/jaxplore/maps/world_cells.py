@@ -47,7 +47,7 @@ class WorldCells:
         """The frame relative to the lower corner: a frame keeps its origin in single precision."""
         return GridFrame(self.resolution)
 
-    def covered(self, kind: str, rows: tuple[Row, ...]) -> Cells:
+    def rasterise(self, kind: str, rows: tuple[Row, ...]) -> Cells:
         """Return the mask (H, W) of the cells that shapes of one kind cover.
 
         A kind is walls, rectangles, discs or zones. A cell belongs to a zone if its centre does.
@@ -64,10 +64,10 @@ class WorldCells:
         """Return the mask (H, W) of the cells that obstacles cover."""
         mask = np.zeros(self.shape, bool)
         for kind in SHAPES:
-            mask |= self.covered(kind, getattr(shapes, kind))
+            mask |= self.rasterise(kind, getattr(shapes, kind))
         return mask
 
-    def checked_solid(self, shapes: Shapes, prefix: str = "") -> Cells:
+    def rasterise_obstacles(self, shapes: Shapes, prefix: str = "") -> Cells:
         """Return the cells that obstacles cover, each of them at least one.
 
         In messages `prefix` stands before the name of their entry.
@@ -76,7 +76,7 @@ class WorldCells:
         for kind in SHAPES:
             for index, row in enumerate(getattr(shapes, kind)):
                 # One shape at a time, so that the message can name the one that is off the map.
-                mask = self.covered(kind, (row,))
+                mask = self.rasterise(kind, (row,))
                 if not mask.any():
                     raise ValueError(
                         f"{prefix}{kind}[{index}] is {list(row)}, off the map; accepted: something "
@@ -113,7 +113,7 @@ class WorldCells:
                     f"zones[{index}] is {list(zone)}; accepted: a rectangle on the map, "
                     f"{self.extent}"
                 )
-            if not self.covered("zones", (zone,)).any():
+            if not self.rasterise("zones", (zone,)).any():
                 raise ValueError(
                     f"zones[{index}] is {list(zone)}; accepted: a rectangle with the centre of a "
                     f"cell of {self.resolution} m in it"

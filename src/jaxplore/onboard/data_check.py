@@ -54,9 +54,9 @@ class DataCheck:
                 return f"the {name} is {now - time:.2f} s old"
         if jump is not None:
             return jump
-        return self._frozen_problem(now, twist) if options.is_obeyed else None
+        return self._find_frozen(now, twist) if options.is_obeyed else None
 
-    def _frozen_problem(self, now: float, twist: np.ndarray) -> str | None:
+    def _find_frozen(self, now: float, twist: np.ndarray) -> str | None:
         """Return which measurement repeats itself although the robot should move; None if none."""
         last, limit = self._history.last, self._options.max_frozen
         assert last is not None

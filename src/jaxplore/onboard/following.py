@@ -61,10 +61,10 @@ class Following(DriveTask):
         return np.asarray(self._path.points)[::SHOWN]
 
     def prepare(self, driver: Driver) -> None:
-        """Compile what `adapted` calls."""
+        """Compile what `update_control` calls."""
         other = Following(self.perception)
         other.take(np.array([[0.0, 0.0], [1.0, 0.0]]))
-        other.adapted(driver, np.zeros(2), np.zeros(2, np.float32))
+        other.update_control(driver, np.zeros(2), np.zeros(2, np.float32))
 
     def take(self, points: np.ndarray) -> None:
         """Take a path, to be followed from the next command on.
@@ -80,7 +80,7 @@ class Following(DriveTask):
         first = given[0] if len(given) else np.zeros(2)
         self._pieces, self._first, self._is_new = pieces_of_points(given - first), first, True
 
-    def adapted(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
+    def update_control(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
         """Return a driver for the newest path, from its point that is nearest to the robot."""
         if not self._is_new:
             return driver
@@ -174,14 +174,14 @@ def along_path[T](tree: T, path: Path) -> T:
     def is_part(part: object) -> bool:
         return isinstance(part, (Path, PathParameter))
 
-    def replaced(part: Any) -> Any:
+    def replace(part: Any) -> Any:
         if isinstance(part, Path):
             return path
         if isinstance(part, PathParameter):
             return eqx.tree_at(lambda each: each.end, part, path.length)
         return part
 
-    changed: T = jax.tree.map(replaced, tree, is_leaf=is_part)
+    changed: T = jax.tree.map(replace, tree, is_leaf=is_part)
     return changed
 
 

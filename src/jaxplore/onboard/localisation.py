@@ -13,7 +13,13 @@ from jaxplore._types import ArrayLike
 from jaxplore._xla import on_device
 from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.localiser import LocaliserState
-from jaxplore.onboard.odometry import KEPT_SECONDS, Placed, PoseHistory, moved, wrapped
+from jaxplore.onboard.odometry import (
+    KEPT_SECONDS,
+    Placed,
+    PoseHistory,
+    extrapolate_pose,
+    wrap_angle,
+)
 from jaxplore.robot.localisation import Motions, PoseKnowledge
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
@@ -56,33 +62,33 @@ class MapPoses:
     def _join(self, former: Placed, last: Placed) -> None:
         """Let an odometry that has jumped go on from where the velocity before it led."""
         seconds = min(last.time - former.time, KEPT_SECONDS)
-        expected = moved(former.pose, former.twist, seconds)
+        expected = extrapolate_pose(former.pose, former.twist, seconds)
         # Back where it was after some that were not finite, it has not jumped.
         if any(self._history.jump(each, last.pose) is None for each in (expected, former.pose)):
             return
         if self.joint is not None:
-            before, after = (self._shifted(each) for each in (expected, last.pose))
-            self.joint = composed(composed(self.joint, before), inverse(after))
+            before, after = (self._shift(each) for each in (expected, last.pose))
+            self.joint = compose(compose(self.joint, before), inverse(after))
 
-    def _shifted(self, pose: np.ndarray) -> np.ndarray:
+    def _shift(self, pose: np.ndarray) -> np.ndarray:
         return np.asarray(pose - np.append(self.offset, 0.0))
 
-    def reckoned(self, pose: np.ndarray) -> np.ndarray:
+    def reckon(self, pose: np.ndarray) -> np.ndarray:
         """Return a pose (3,) of the odometry relative to the origin, without jumps."""
-        local = self._shifted(pose)
-        return local if self.joint is None else composed(self.joint, local)
+        local = self._shift(pose)
+        return local if self.joint is None else compose(self.joint, local)
 
-    def placed(self, pose: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
+    def place(self, pose: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
         """Return a pose (3,) of the odometry in the map, relative to the origin.
 
         The correction (3,) is the pose of the odometry in the map; None where they are the same.
         """
-        return self.corrected(self.reckoned(pose), correction)
+        return self.correct(self.reckon(pose), correction)
 
     @staticmethod
-    def corrected(reckoned: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
-        """Return the pose (3,) in the map of one that `reckoned` returned."""
-        return reckoned if correction is None else composed(correction, reckoned)
+    def correct(reckoned: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
+        """Return the pose (3,) in the map of one that `reckon` returned."""
+        return reckoned if correction is None else compose(correction, reckoned)
 
     def in_map(self, pose: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
         """Return a pose (3,) of the odometry in the frame of the map [m, m, rad].
@@ -91,7 +97,7 @@ class MapPoses:
         """
         if correction is None:
             return pose
-        return np.asarray(self.placed(pose, correction) + np.append(self.offset, 0.0))
+        return np.asarray(self.place(pose, correction) + np.append(self.offset, 0.0))
 
 
 class ScanMotions:
@@ -122,7 +128,7 @@ class ScanMotions:
             elapsed = time - self._time
             motions[0] = difference(self._reckoned, reckoned)
             if joint is not None and self._joint is not None and joint is not self._joint:
-                true = composed(composed(self._joint, inverse(joint)), reckoned)
+                true = compose(compose(self._joint, inverse(joint)), reckoned)
                 motions[1], number = difference(self._reckoned, true), 2
         self._reckoned, self._joint, self._time = reckoned, joint, time
         return Motions(*jax.device_put((motions, np.int32(number), np.float32(elapsed))))
@@ -158,7 +164,7 @@ def close_any(closer: LoopCloser) -> LoopCloser:
     return eager
 
 
-def composed(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def compose(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Return the pose (3,) after a motion (3,) in its frame, in double precision."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     dx, dy, turn = motion
@@ -174,5 +180,5 @@ def inverse(pose: np.ndarray) -> np.ndarray:
 
 def difference(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the motion (3,) between two poses, in the first one's frame; it turns by [-pi, pi]."""
-    dx, dy, turn = composed(inverse(pose), other)
-    return np.array([dx, dy, wrapped(turn)])
+    dx, dy, turn = compose(inverse(pose), other)
+    return np.array([dx, dy, wrap_angle(turn)])

@@ -123,14 +123,14 @@ class DriveLog:
         if offset is None:
             return local
         names = self._scenario.robot.state_names
-        frames = tuple(each.moved(offset, names) for each in local.frames)
-        return dataclasses.replace(local.moved(offset), frames=frames)
+        frames = tuple(each.move(offset, names) for each in local.frames)
+        return dataclasses.replace(local.move(offset), frames=frames)
 
     def _recording(self, belief: Belief, *, is_done: bool) -> ExplorationRecording:
         """Return the recording relative to the origin of the belief."""
-        scenario, rows = self._scenario, self._resampled()
+        scenario, rows = self._scenario, self._resample()
         grid, period = belief.grid, scenario.period
-        cropped = grid.cropped
+        cropped = grid.crop
         start = self._states(rows)[0] if len(rows) else np.asarray(scenario.start)
         known_at, probability = cropped(self._known_at), cropped(grid.probability)
         reachable = self._reachable(belief, start)
@@ -218,7 +218,7 @@ class DriveLog:
     def _since(self, time: float) -> float:
         return float(time - self._rows.array[0, TIME]) if len(self._rows) else 0.0
 
-    def _resampled(self) -> np.ndarray:
+    def _resample(self) -> np.ndarray:
         """Return the newest row at each control period; commands come at other times as well."""
         rows = self._rows.array
         if not len(rows):
@@ -230,10 +230,10 @@ class DriveLog:
         grid, robot = belief.grid, self._scenario.robot
         try:
             x, y = np.asarray(robot.position(jnp.asarray(start)))
-            cells = reachable_cells(grid.unpadded(), np.array([x, y, 0.0]), float(robot.radius))
+            cells = reachable_cells(grid.unpad(), np.array([x, y, 0.0]), float(robot.radius))
         except ValueError:
             # The map may have a wall at the start by now, such as a person who stood there.
-            cells = np.asarray(grid.cropped(grid.is_free))
+            cells = np.asarray(grid.crop(grid.is_free))
         return np.asarray(cells, bool)
 
     def _clearance(self, belief: Belief, states: np.ndarray) -> np.ndarray:

@@ -11,12 +11,12 @@ from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.localisation.localiser import Localiser, LocaliserState
-from jaxplore.localisation.thinning import thinned
+from jaxplore.localisation.thinning import thin_scans
 from jaxplore.onboard import steps
 from jaxplore.onboard.localisation import (
     ScanMotions,
     close_any,
-    composed,
+    compose,
     inverse,
     replace_known,
     scan_room,
@@ -135,7 +135,7 @@ class Mapper:
             own.place, own.belief, perception, self._prior, self._start
         )
         assert isinstance(place.known, LocaliserState)
-        made = (steps.free_cells(belief), thinned(place.known))
+        made = (steps.free_cells(belief), thin_scans(place.known))
         jax.block_until_ready(made)  # type: ignore[no-untyped-call]
 
     def add(
@@ -190,7 +190,7 @@ class Mapper:
             assert own.place is not None
             # What turns the pose by the odometry into the one that was found.
             pose = np.asarray(own.place.known.pose, np.float64)
-            correction = composed(pose, inverse(due.pose))
+            correction = compose(pose, inverse(due.pose))
         self.known = Known(own, correction, due.time)
         self._mapped_at = due.time
 

@@ -66,12 +66,14 @@ class PoseHistory:
         problem = None
         if last is not None:
             seconds = min(time - last.time, KEPT_SECONDS)
-            problem = self.jump(moved(last.pose, last.twist, seconds), pose)
+            problem = self.jump(extrapolate_pose(last.pose, last.twist, seconds), pose)
         if problem is not None:
             self._places.clear()
         if last is None or not np.array_equal(last.pose, pose):
             self._moved_at = time
-        velocity = self._estimated(time, pose) if twist is None else np.asarray(twist, np.float64)
+        velocity = (
+            self._estimate_velocity(time, pose) if twist is None else np.asarray(twist, np.float64)
+        )
         self._places.append(Placed(time, np.asarray(pose, np.float64), velocity))
         while time - self._places[0].time > KEPT_SECONDS:
             self._places.popleft()
@@ -95,9 +97,9 @@ class PoseHistory:
         span = after.time - before.time
         if before is after or time <= before.time or time >= after.time or span <= 0.0:
             nearest = after if time >= after.time else before
-            return moved(nearest.pose, nearest.twist, time - nearest.time)
+            return extrapolate_pose(nearest.pose, nearest.twist, time - nearest.time)
         share = (time - before.time) / span
-        turn = wrapped(after.pose[2] - before.pose[2])
+        turn = wrap_angle(after.pose[2] - before.pose[2])
         position = before.pose[:2] + share * (after.pose[:2] - before.pose[:2])
         return np.append(position, before.pose[2] + share * turn)
 
@@ -108,20 +110,20 @@ class PoseHistory:
         away, turn = pose_error(expected, np.asarray(pose))
         return f"the pose jumped by {away:.2f} m and {turn:.2f} rad"
 
-    def _estimated(self, time: float, pose: np.ndarray) -> np.ndarray:
+    def _estimate_velocity(self, time: float, pose: np.ndarray) -> np.ndarray:
         """Estimate a velocity from the poses of the last tenth of a second."""
         for place in reversed(self._places):
             if time - place.time >= DIFFERENCE_SECONDS or place is self._places[0]:
                 span = max(time - place.time, 1e-3)
                 x, y = pose[:2] - place.pose[:2]
-                turn = wrapped(pose[2] - place.pose[2])
+                turn = wrap_angle(pose[2] - place.pose[2])
                 middle = place.pose[2] + 0.5 * turn
                 cos, sin = math.cos(middle), math.sin(middle)
                 return np.array([cos * x + sin * y, cos * y - sin * x, turn]) / span
         return np.zeros(3)
 
 
-def moved(pose: np.ndarray, twist: np.ndarray, seconds: float) -> np.ndarray:
+def extrapolate_pose(pose: np.ndarray, twist: np.ndarray, seconds: float) -> np.ndarray:
     """Return a pose (3,) after some time at a constant velocity in the frame of the robot.
 
     The direction of motion is that in the middle of the time, exact to second order.
@@ -132,7 +134,7 @@ def moved(pose: np.ndarray, twist: np.ndarray, seconds: float) -> np.ndarray:
     return np.asarray(pose + np.array([cos * vx - sin * vy, sin * vx + cos * vy, omega]))
 
 
-def wrapped(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
     """Return an angle in [-pi, pi] [rad]."""
     return math.remainder(angle, math.tau)
 

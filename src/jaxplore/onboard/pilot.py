@@ -156,7 +156,7 @@ class Pilot:
         self._mapper.prepare(self.task.perception)
         self.task.prepare(Driver(self.controller, self.robot, self._expected))
         planned = self._plan(np.asarray(self._expected, np.float32), 0.0, self.period)
-        steps.corrected(self.robot, self._expected, np.zeros(3), np.zeros(3))
+        steps.apply_correction(self.robot, self._expected, np.zeros(3), np.zeros(3))
         shown = self.make_frame()
         jax.block_until_ready((planned, vars(shown)))  # type: ignore[no-untyped-call]
 
@@ -257,27 +257,27 @@ class Pilot:
         if problem is None and self._mapper.is_misfit:
             problem = REASONS[MISFIT]
         if self._finished:
-            return self._stopping(now, elapsed, Mode.DONE, self._finished)
+            return self._ramp_down(now, elapsed, Mode.DONE, self._finished)
         if not self.is_started:
-            return self._stopping(now, elapsed, Mode.PAUSED, "paused")
+            return self._ramp_down(now, elapsed, Mode.PAUSED, "paused")
         if problem is not None:
             is_blank = self._history.last is None or self._scan is None
             mode = Mode.WAITING if is_blank and not self._twist.any() else Mode.BRAKING
-            return self._stopping(now, elapsed, mode, problem)
+            return self._ramp_down(now, elapsed, mode, problem)
         self._adapt()
         state = self._state(now)
         assert self._history.last is not None
         motion = _motion(self._history.last.twist)
         waits_for = self.task.waits_for(np.asarray(state[:2]), motion)
         if waits_for:
-            return self._stopping(now, elapsed, Mode.WAITING, waits_for)
+            return self._ramp_down(now, elapsed, Mode.WAITING, waits_for)
         if not self.options.is_obeyed:
             self._expected = state
             self._sent.clear()
         # The plan is shifted by the elapsed time; after a pause, by not more than two periods.
         planned = self._plan(state, now, min(elapsed, 2.0 * self.period))
         if not bool(planned.is_finite):
-            return self._stopping(now, elapsed, Mode.BRAKING, "no rollout of the plan is finite")
+            return self._ramp_down(now, elapsed, Mode.BRAKING, "no rollout of the plan is finite")
         self._memory = planned.memory
         self._expected = np.asarray(planned.after)
         controls, twists = np.asarray(planned.controls), np.asarray(planned.twists, np.float64)
@@ -312,7 +312,7 @@ class Pilot:
             if 0 <= index < len(twists) and time - began <= self.options.max_age:
                 self._twist = twists[index]
                 return Command(self._twist, Mode.DRIVING, "a plan was late", None)
-        return self._stopping(self.time, self.period, Mode.BRAKING, "a plan was late")
+        return self._ramp_down(self.time, self.period, Mode.BRAKING, "a plan was late")
 
     def update_belief(self, now: float | Instant) -> None:
         """Map the newest scan, and update the information and guidance fields if they are due.
@@ -327,7 +327,7 @@ class Pilot:
         self._mapper.map_scan(perception)
         if last is None or not self.task.has_fields:
             return
-        pose = self._poses.placed(last.pose, self._mapper.correction)
+        pose = self._poses.place(last.pose, self._mapper.correction)
         # Where the clock has jumped since the command, the fields wait for the next one.
         cost = None if time is None else self._mapper.update_fields(perception, time, pose)
         if cost is not None and time is not None:
@@ -379,7 +379,7 @@ class Pilot:
         assert self._history.last is not None
         before = Driver(self.controller, self.robot, self._expected)
         place = self._local(self._history.last.pose)[:2].astype(np.float32)
-        after = self.task.adapted(before, self._poses.offset, place)
+        after = self.task.update_control(before, self._poses.offset, place)
         # Another thread may set parameters meanwhile: what has not changed is not written back.
         if after is not before:
             self.controller, self.robot, self._expected = after
@@ -390,18 +390,18 @@ class Pilot:
         after, last = self._known.correction, self._history.last
         if before is None or after is None or before is after or last is None:
             return
-        poses = (self._poses.placed(last.pose, each) for each in (before, after))
-        self._expected = steps.corrected(self.robot, self._expected, *poses)
+        poses = (self._poses.place(last.pose, each) for each in (before, after))
+        self._expected = steps.apply_correction(self.robot, self._expected, *poses)
         self._place_points()
 
     def _place_points(self) -> None:
         """Place the points of the recent scans in the map."""
-        pose = self._poses.corrected(self._seen.pose, self._known.correction)
+        pose = self._poses.correct(self._seen.pose, self._known.correction)
         self._points = self._seen.place(pose)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         """Return the place in the map of a pose of the odometry, relative to its origin."""
-        return self._poses.placed(pose, self._known.correction)
+        return self._poses.place(pose, self._known.correction)
 
     def _state(self, now: float) -> np.ndarray:
         """Return the newest measured state (nx,), relative to the origin of the belief."""
@@ -419,7 +419,7 @@ class Pilot:
         twist = np.zeros(3) if last is None else last.twist
         scans = [each.undistort(self.sensor, twist, place) for each in scans]
         for each in scans:
-            pose = self._poses.reckoned(self._history.at(each.time))
+            pose = self._poses.reckon(self._history.at(each.time))
             self._seen.add(each.time, each.points, pose)
         self._place_points()
         new = scans[-1]
@@ -436,7 +436,7 @@ class Pilot:
                 (
                     state,
                     self._expected,
-                    *self._sent.between(now if last is None else last.time, now),
+                    *self._sent.find_pending(now if last is None else last.time, now),
                     *self._points,
                     np.float32(elapsed),
                     np.int32(self._number),
@@ -463,7 +463,7 @@ class Pilot:
         newest, mapped = (max(0.0, now - each) + self.options.latency for each in times)
         return np.float32(newest), np.float32(mapped)
 
-    def _stopping(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
+    def _ramp_down(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
         """Return the next command of a ramp to zero."""
         self._twist = self.options.slower(self._twist, min(elapsed, 2.0 * self.period))
         if self._history.last is not None:

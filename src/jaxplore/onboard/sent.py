@@ -38,7 +38,7 @@ class SentCommands:
         """Forget all commands: the robot brakes."""
         self._sent = []
 
-    def between(self, measured: float, now: float) -> tuple[np.ndarray, np.ndarray]:
+    def find_pending(self, measured: float, now: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the controls (D, nu) on their way, and for how long each of them (D,) acts [s].
 
         The time runs from `measured`, that of the newest measured state, until a command that is

@@ -16,7 +16,7 @@ from jaxplore.control.base import Info
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import compose
 from jaxplore.onboard.frames import EvenFrames
-from jaxplore.onboard.odometry import moved
+from jaxplore.onboard.odometry import extrapolate_pose
 from jaxplore.onboard.steps import initial
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -250,7 +250,7 @@ class SimulatedRobot:
         cos, sin = math.cos(middle), math.sin(middle)
         x, y, turn = pose - self._pose
         way = np.array([cos * x + sin * y, cos * y - sin * x, turn])
-        self._odometry = moved(self._odometry, self._scale * way, 1.0)
+        self._odometry = extrapolate_pose(self._odometry, self._scale * way, 1.0)
         self._pose, self._twist = pose, self._scale * twist
 
 
@@ -275,7 +275,7 @@ def _measure(
     judge = Judge(scenario.perception, scenario.map_arrays.reachable)
     before = judge.count_window(state.belief.grid, pose)
     belief = scenario.perception.observe(state.belief, scans, pose, since)
-    sums = state.judged.sums.changed(before, judge.count_window(belief.grid, pose))
+    sums = state.judged.sums.update(before, judge.count_window(belief.grid, pose))
     progress = map_progress(sums, belief, judge.reachable, moment.time)
     judged = state.judged._replace(sums=sums, progress=progress)
     ranges = jnp.concatenate([scan.ranges for scan in scans])

@@ -13,10 +13,10 @@ from jaxplore._types import ControlVector, Count, Flag, GridMask, Key, Pose, Sca
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller
-from jaxplore.control.latency import predicted_state
+from jaxplore.control.latency import predict_state
 from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.robot.localisation import Motions, corrected_state
+from jaxplore.robot.localisation import Motions, correct_state
 from jaxplore.robot.robot import Measurement, Robot, RobotState, Sight
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.frames import frame_arrays
@@ -119,17 +119,19 @@ def update_fields(
     return own, own.belief.guidance(pose[:2])
 
 
-def corrected(
+def apply_correction(
     robot: Dynamics, state: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
     """Return a state (nx,) moved by what corrects a pose (3,) from `before` to `after`."""
     given = (each.astype(np.float32) for each in (state, before, after))
-    return np.asarray(_corrected(robot, *jax.device_put(tuple(given))))
+    return np.asarray(_apply_correction(robot, *jax.device_put(tuple(given))))
 
 
 @eqx.filter_jit
-def _corrected(robot: Dynamics, state: StateVector, before: Pose, after: Pose) -> StateVector:
-    return corrected_state(robot, state, before, after)
+def _apply_correction(
+    robot: Dynamics, state: StateVector, before: Pose, after: Pose
+) -> StateVector:
+    return correct_state(robot, state, before, after)
 
 
 class PlanInputs(NamedTuple):
@@ -178,18 +180,18 @@ def plan(
     tracks moving obstacles; None if nothing moves.
     """
     key = jax.random.fold_in(key, inputs.number)
-    start = predicted_state(robot, inputs.state, inputs.sent, inputs.durations)
+    start = predict_state(robot, inputs.state, inputs.sent, inputs.durations)
     start = _with_commanded_speeds(robot, start, inputs.expected)
     adapted = controller.at_period(inputs.elapsed)
     points, is_point, speeds = inputs.points, inputs.is_point, None
     if tracker is not None and belief.tracks is not None and belief.obstacles is not None:
         speeds = tracker.possible_speeds(belief.tracks, belief.clearance, points, is_point)
-        later = belief.obstacles.after(inputs.since_map)
+        later = belief.obstacles.advance(inputs.since_map)
         belief = dataclasses.replace(belief, obstacles=later)
     control, memory, info = adapted.step(memory, start, belief, key=key)
     is_wall = None if speeds is None else is_point & (speeds == 0.0)
     checked = check(robot, start, control, period, points, is_point, speeds, inputs.age, is_wall)
-    controls = _ahead(controller, info.controls, checked.control, period)
+    controls = _resample_plan(controller, info.controls, checked.control, period)
 
     def step(at: StateVector, each: ControlVector) -> tuple[StateVector, tuple[Array, Array]]:
         after = robot.step(at, each, period)
@@ -229,7 +231,7 @@ def _with_commanded_speeds(
     return jnp.where(is_close, expected, predicted)
 
 
-def _ahead(
+def _resample_plan(
     controller: Controller, planned: Float[Array, "T nu"], first: ControlVector, period: Scalar
 ) -> Float[Array, "N nu"]:
     """Return the controls of the coming periods from a plan of model steps."""

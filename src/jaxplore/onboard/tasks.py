@@ -41,9 +41,9 @@ class DriveTask:
         self.is_done = False
 
     def prepare(self, driver: Driver) -> None:
-        """Compile what `adapted` calls."""
+        """Compile what `update_control` calls."""
 
-    def adapted(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
+    def update_control(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
         """Return what drives the robot from now on; the same if nothing has changed.
 
         Args:
@@ -176,7 +176,7 @@ class Exploring(DriveTask):
     ) -> str:
         """Take note of new fields; return why the drive is done, empty if it goes on."""
         if self.is_returning:
-            return self._returning(now, cost, place, motion)
+            return self._check_return(now, cost, place, motion)
         has_worth = leads_to_information(cost)
         # Before the first scans nothing is known, and a map that does not grow is not a reason.
         if has_worth or not is_started or not math.isfinite(self._worth_at):
@@ -188,7 +188,7 @@ class Exploring(DriveTask):
             self.turn_back(now, NOTHING_LEFT)
         return ""
 
-    def _returning(self, now: float, cost: float, place: np.ndarray, motion: Motion) -> str:
+    def _check_return(self, now: float, cost: float, place: np.ndarray, motion: Motion) -> str:
         home = GoalCheck(np.asarray(self.perception.goal), GOAL_RADIUS)
         if home.is_reached(place, motion):
             return f"{self._reason}; the robot is back at its start"

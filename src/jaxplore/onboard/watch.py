@@ -14,7 +14,7 @@ from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.report.recording import Recording, moved_records
+from jaxplore.report.recording import Recording, move_records
 from jaxplore.simulation.monitor import (
     Monitor,
     ParameterRequests,
@@ -45,7 +45,7 @@ class DriveWatch:
         self._offset = np.zeros(2)
 
     def prepare(self) -> None:
-        """Make what `begin` shows, so that nothing is compiled when `after` calls it."""
+        """Make what `begin` shows, so that nothing is compiled when `show` calls it."""
         pilot = self._pilot
         if not self._shown or self._blank is not None:
             return
@@ -67,18 +67,18 @@ class DriveWatch:
         """Tell the monitors that the drive begins, see `begin_all`.
 
         Positions are in the frame of the odometry, as far as it is known: before the first pose
-        they are relative to that. `after` begins with the first pose, unless this was called.
+        they are relative to that. `show` begins with the first pose, unless this was called.
         """
         self.prepare()
         if self._blank is None:
             return
         self._offset = self._pilot.offset.copy()
-        recording = self._blank.moved(self._offset)
+        recording = self._blank.move(self._offset)
         recording = dataclasses.replace(recording, frames=(self._make_frame(),))
         begin_all(self._shown, recording, self._pilot.controller)
         self._has_begun = True
 
-    def after(self, command: Command) -> None:
+    def show(self, command: Command) -> None:
         """Show the newest command to the monitors that are due, and take their requests."""
         if not self._has_begun and self._pilot.pose is not None:
             self.begin()
@@ -92,7 +92,7 @@ class DriveWatch:
                 frame = self._make_frame() if frame is None else frame
                 records, times = log.newest(number)
                 names = self._pilot.robot.state_names
-                records = moved_records(records, self._offset, names)
+                records = move_records(records, self._offset, names)
                 why = f", {command.reason}" if command.reason else ""
                 area = log.num_known * self._pilot.scenario.cell_size**2
                 text = f"{command.mode}{why}, explored {area:.1f} m\u00b2"
@@ -108,7 +108,7 @@ class DriveWatch:
     def _make_frame(self) -> ExplorationFrame:
         """Make a frame of the present moment, as `begin` says."""
         pilot = self._pilot
-        return pilot.make_frame().moved(self._offset, pilot.robot.state_names)
+        return pilot.make_frame().move(self._offset, pilot.robot.state_names)
 
     def _take(self, requests: Mapping[Monitor, Requests]) -> None:
         pilot = self._pilot

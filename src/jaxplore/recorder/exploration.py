@@ -9,7 +9,7 @@ from jaxplore.recorder.content import BASE, MAP, Content
 from jaxplore.report.drawing.colours import MOVER, TARGET
 from jaxplore.report.drawing.palette import HEAT, MAX_HEAT, PALE, REFERENCE
 from jaxplore.report.exploration.data import ExplorationFrame
-from jaxplore.report.exploration.objects import known_objects
+from jaxplore.report.exploration.objects import find_known_objects
 
 UNKNOWN_LEVEL = 128
 """Level of the probability 1/2 of 255."""
@@ -62,7 +62,7 @@ class ExplorationContent(Content):
         ]
         objects = [
             messages.disc(place, MARK, colour)
-            for place, colour in known_objects(run.objects, frame)
+            for place, colour in find_known_objects(run.objects, frame)
         ]
         goal = [] if run.goal is None else [messages.disc(run.goal, MARK, REFERENCE)]
         entities: dict[str, Any] = {

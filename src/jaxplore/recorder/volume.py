@@ -32,7 +32,7 @@ class VolumeContent(Content):
     def write_maps(self, frame: VolumeFrame) -> None:
         """Write the voxels."""
         run = self.recording
-        voxels = surface(frame.occupied(run.world.shape))
+        voxels = surface(frame.find_occupied(run.world.shape))
         points = run.origin + (voxels[:, ::-1] + 0.5) * run.resolution
         stamp = self.channels.stamp(frame.time)
         self.log("/voxels", messages.point_cloud(stamp, MAP, points), frame.time)

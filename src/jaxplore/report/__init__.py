@@ -11,13 +11,13 @@ from jaxplore.report.localisation import Alignment as Alignment
 from jaxplore.report.localisation import MapAgreement as MapAgreement
 from jaxplore.report.localisation import RelativeError as RelativeError
 from jaxplore.report.localisation import absolute_error as absolute_error
-from jaxplore.report.localisation import aligned as aligned
+from jaxplore.report.localisation import align as align
 from jaxplore.report.localisation import aligned_coverage as aligned_coverage
 from jaxplore.report.localisation import map_agreement as map_agreement
 from jaxplore.report.localisation import relative_error as relative_error
 from jaxplore.report.metrics import Column as Column
 from jaxplore.report.metrics import Curve as Curve
 from jaxplore.report.metrics import Metrics as Metrics
-from jaxplore.report.metrics import sampled_series as sampled_series
+from jaxplore.report.metrics import thin_series as thin_series
 from jaxplore.report.recording import Frame as Frame
 from jaxplore.report.recording import Recording as Recording

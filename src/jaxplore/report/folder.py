@@ -12,15 +12,15 @@ from typing import BinaryIO
 from jaxplore._locks import (
     OWN,
     InUseError,
-    hidden_file,
-    hidden_folder,
     is_locked,
     lock,
+    open_hidden_file,
     put_folder,
     reservation,
+    reserve_hidden_folder,
     sweep,
 )
-from jaxplore._signals import held
+from jaxplore._signals import hold
 
 MARK = "metrics.json"
 """File by which a former run is recognised."""
@@ -30,13 +30,13 @@ _reservations: dict[tuple[int, Path], Path] = {}
 
 
 def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Check before a long run that its folder can be written; raise as `reserved_folder` does."""
-    with reserved_folder(path, overwrite=overwrite):
+    """Check before a long run that its folder can be written; raise as `reserve_folder` does."""
+    with reserve_folder(path, overwrite=overwrite):
         pass
 
 
 @contextmanager
-def reserved_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[None]:
+def reserve_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[None]:
     """Check whether a run folder can be written, and keep other processes from it in the body.
 
     A test folder is made beside the later one and removed again, with any missing parents. In the
@@ -47,7 +47,7 @@ def reserved_folder(path: str | PathLike[str], *, overwrite: bool = False) -> It
             `overwrite`), a parent that cannot be written to, a folder that another process writes.
     """
     target = _target(path)
-    with _reserved(target, overwrite) as hidden:
+    with _reserve(target, overwrite) as hidden:
         with in_one_line("run folder", target):
             _make(hidden, target)
             hidden.rmdir()
@@ -66,14 +66,14 @@ def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterato
     `overwrite`, a former run is replaced once the new one is complete.
 
     Raises:
-        ValueError: as in `reserved_folder`; any `OSError` while the folder is filled, such as a
+        ValueError: as in `reserve_folder`; any `OSError` while the folder is filled, such as a
             full disk.
     """
     target = _target(path)
     with ExitStack() as stack:
         folder = _reservations.get((threading.get_ident(), target))
         if folder is None:
-            folder = stack.enter_context(_reserved(target, overwrite))
+            folder = stack.enter_context(_reserve(target, overwrite))
         try:
             with in_one_line("run folder", target):
                 _make(folder, target)
@@ -83,7 +83,7 @@ def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterato
                 put_folder(folder, target)
         finally:
             # It is not there if it was moved. A reservation may go on after a failure.
-            with held():
+            with hold():
                 shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -93,7 +93,7 @@ def is_reserved(path: Path) -> bool:
 
 
 @contextmanager
-def locked_folder(folder: Path, what: str) -> Iterator[None]:
+def lock_folder(folder: Path, what: str) -> Iterator[None]:
     """Keep other processes from a folder to which files are added one by one.
 
     It is made with its parents. If it is empty at the end, it is removed with those. `what` is its
@@ -114,14 +114,14 @@ def locked_folder(folder: Path, what: str) -> Iterator[None]:
 
 
 @contextmanager
-def _reserved(target: Path, overwrite: bool) -> Iterator[Path]:
+def _reserve(target: Path, overwrite: bool) -> Iterator[Path]:
     """Yield the hidden path of a run folder that this process alone may write."""
     _check_vacant(target, overwrite)
     with ExitStack() as stack:
         with in_one_line("run folder", target):
             stack.callback(_remove_empty, _make_parents(target.parent))
             try:
-                hidden = stack.enter_context(hidden_folder(target))
+                hidden = stack.enter_context(reserve_hidden_folder(target))
             except InUseError as error:
                 raise ValueError(_in_use("run folder", target, error)) from None
         # The former run of a process that was killed may be back.
@@ -205,7 +205,7 @@ def whole_file(target: Path, what: str) -> Iterator[Path]:
         ValueError: it cannot be written.
     """
     # The file is made in the folder of its target, because only there the rename is one operation.
-    with in_one_line(what, target), hidden_file(target) as temporary:
+    with in_one_line(what, target), open_hidden_file(target) as temporary:
         yield temporary
         with temporary.open("r+b") as file:
             # Without it a power cut after the rename could leave an empty file.

@@ -37,7 +37,7 @@ class Alignment(NamedTuple):
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         return np.array([[cos, -sin], [sin, cos]])
 
-    def moved(self, points: ArrayLike) -> _Floats:
+    def apply(self, points: ArrayLike) -> _Floats:
         """Return points (N, 2) after the motion [m]."""
         moved: _Floats = np.asarray(points, np.float64) @ self.rotation.T + self.translation
         return moved
@@ -97,7 +97,7 @@ class MapAgreement(NamedTuple):
     num_belief: int
 
 
-def aligned(true: Rows, estimated: Rows) -> Alignment:
+def align(true: Rows, estimated: Rows) -> Alignment:
     """Return the rigid motion that brings estimated positions closest to the true ones.
 
     It minimises `sum |p_i - (R q_i + t)|^2` over rotations and translations, without a scale. With
@@ -123,7 +123,7 @@ def aligned(true: Rows, estimated: Rows) -> Alignment:
     across = float((from_q[:, 0] * from_p[:, 1] - from_q[:, 1] * from_p[:, 0]).sum())
     along = float((from_q * from_p).sum())
     motion = Alignment(math.atan2(across, along), np.zeros(2))
-    return motion._replace(translation=p.mean(axis=0) - motion.moved(q.mean(axis=0)))
+    return motion._replace(translation=p.mean(axis=0) - motion.apply(q.mean(axis=0)))
 
 
 def absolute_error(
@@ -140,16 +140,16 @@ def absolute_error(
         true: true poses (N, 3) as (x, y, yaw) [m, m, rad].
         estimated: estimated poses (N, 3) at the same times.
         alignment: motion from the frame of the estimated poses to that of the true ones, such as
-            `SAME_FRAME`; that of `aligned` when absent.
+            `SAME_FRAME`; that of `align` when absent.
 
     Raises:
-        ValueError: as of `aligned`.
+        ValueError: as of `align`.
     """
     _kinds.instance("alignment", alignment, Alignment, may_be_none=True)
     p, q = _pair(true, estimated, (3,))
-    motion = aligned(p, q) if alignment is None else alignment
-    distance = np.hypot(*(motion.moved(q[:, :2]) - p[:, :2]).T)
-    turn = _wrapped(q[:, 2] + motion.yaw - p[:, 2])
+    motion = align(p, q) if alignment is None else alignment
+    distance = np.hypot(*(motion.apply(q[:, :2]) - p[:, :2]).T)
+    turn = _wrap_angle(q[:, 2] + motion.yaw - p[:, 2])
     return AbsoluteError(
         _rms(distance), float(np.median(distance)), float(distance.max()), _rms(turn)
     )
@@ -174,7 +174,7 @@ def relative_error(true: Rows, estimated: Rows, length: float) -> RelativeError 
         length: travelled length of a piece [m].
 
     Raises:
-        ValueError: a length that is not positive, and as of `aligned`.
+        ValueError: a length that is not positive, and as of `align`.
     """
     length = _checks.number("length", length, above=0.0)
     p, q = _pair(true, estimated, (3,))
@@ -189,7 +189,7 @@ def relative_error(true: Rows, estimated: Rows, length: float) -> RelativeError 
     wanted, found = (_between(each[start], each[end[start]]) for each in (p, q))
     # The rotation of a transform does not change the length of its translation.
     distance = np.hypot(*(found[:, :2] - wanted[:, :2]).T)
-    turn = _wrapped(found[:, 2] - wanted[:, 2])
+    turn = _wrap_angle(found[:, 2] - wanted[:, 2])
     return RelativeError(_rms(distance), _rms(turn), int(start.size))
 
 
@@ -220,7 +220,7 @@ def map_agreement(
         reference: reference map.
         belief: map of the robot, with cells of the same size.
         alignment: motion from the frame of the estimated poses to that of the true ones, of
-            `aligned`; none when absent.
+            `align`; none when absent.
         doubled_within: greatest distance of a wall that is drawn twice from its true place [m].
 
     Raises:
@@ -229,11 +229,11 @@ def map_agreement(
     """
     _check_maps("reference", reference, belief, alignment)
     reach = _checks.number("doubled_within", doubled_within, above=0.0) / reference.resolution
-    walls = reference.cropped(reference.probability) > OCCUPIED_THRESHOLD
-    cells = np.argwhere(belief.cropped(belief.probability) > OCCUPIED_THRESHOLD)
+    walls = reference.crop(reference.probability) > OCCUPIED_THRESHOLD
+    cells = np.argwhere(belief.crop(belief.probability) > OCCUPIED_THRESHOLD)
     points = _centres(cells, belief)
     if alignment is not None:
-        points = alignment.moved(points)
+        points = alignment.apply(points)
     # Two cells may get into one.
     moved = np.unique(_cells(points, reference), axis=0)
     # Cells just beside the reference map can match those at its edge.
@@ -243,9 +243,9 @@ def map_agreement(
     rows, columns = rows[is_in], columns[is_in]
     drawn = np.zeros_like(walls)
     drawn[rows, columns] = True
-    found = np.argwhere(walls & _grown(drawn)) - 1
+    found = np.argwhere(walls & _dilate(drawn)) - 1
     is_matched = np.zeros(len(moved), bool)
-    is_matched[is_in] = _grown(walls)[rows, columns]
+    is_matched[is_in] = _dilate(walls)[rows, columns]
     num_walls, num_drawn = int(walls.sum()), len(moved)
     total = num_walls + num_drawn
     both = len(found) + int(is_matched.sum())
@@ -275,7 +275,7 @@ def aligned_coverage(
         reachable: mask (H, W) of its cells that the robot can reach.
         belief: map of the robot, with cells of the same size.
         alignment: motion from the frame of the estimated poses to that of the true ones, of
-            `aligned`; none when absent.
+            `align`; none when absent.
 
     Raises:
         ValueError: maps with cells of two sizes, a mask of another shape than the world or without
@@ -285,16 +285,16 @@ def aligned_coverage(
     mask = np.asarray(reachable)
     if mask.dtype != np.bool_ or mask.shape != world.shape:
         raise ValueError(
-            f"reachable is {_kinds.described(reachable)} of {mask.dtype}; accepted: a mask "
+            f"reachable is {_kinds.describe(reachable)} of {mask.dtype}; accepted: a mask "
             f"{world.shape}, as the world"
         )
-    cells = np.argwhere(world.cropped(mask))
+    cells = np.argwhere(world.crop(mask))
     if len(cells) == 0:
         raise ValueError("reachable has no cell; accepted: at least one")
     points = _centres(cells, world)
     if alignment is not None:
-        points = alignment.inverse().moved(points)
-    free = belief.cropped(belief.probability) < FREE_THRESHOLD
+        points = alignment.inverse().apply(points)
+    free = belief.crop(belief.probability) < FREE_THRESHOLD
     rows, columns = _cells(points, belief).T
     is_in = (rows >= 0) & (rows < free.shape[0]) & (columns >= 0) & (columns < free.shape[1])
     return float(free[rows[is_in], columns[is_in]].sum()) / len(cells)
@@ -312,7 +312,7 @@ def _pair(true: Rows, estimated: Rows, widths: tuple[int, ...]) -> tuple[_Floats
                 raise TypeError
             array = array.astype(np.float64)
         except (TypeError, ValueError):
-            raise ValueError(f"{name} is {_kinds.described(value)}; accepted: {accepted}") from None
+            raise ValueError(f"{name} is {_kinds.describe(value)}; accepted: {accepted}") from None
         if array.ndim != 2 or array.shape[1] not in widths or len(array) == 0:
             raise ValueError(f"{name} has shape {array.shape}; accepted: {accepted}, N >= 1")
         if not np.isfinite(array).all():
@@ -341,7 +341,7 @@ def _check_maps(
         raise ValueError(f"alignment is {alignment}; accepted: finite numbers")
 
 
-def _wrapped(angle: _Floats) -> _Floats:
+def _wrap_angle(angle: _Floats) -> _Floats:
     """Return angles in [-pi, pi] [rad]."""
     wrapped: _Floats = angle - math.tau * np.round(angle / math.tau)
     return wrapped
@@ -358,7 +358,7 @@ def _between(first: _Floats, second: _Floats) -> _Floats:
     return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, turn], axis=1)
 
 
-def _grown(mask: _Mask) -> _Mask:
+def _dilate(mask: _Mask) -> _Mask:
     """Return the cells of a mask and the 8 cells around each."""
     from scipy.ndimage import binary_dilation
 
@@ -381,14 +381,14 @@ def _centres(cells: _Cells, grid: OccupancyGrid) -> _Floats:
     """Return the centres (N, 2) of cells (row, column) in the world [m]."""
     origin = np.asarray(grid.frame.origin, np.float64)
     frame = Alignment(float(origin[2]), origin[:2])
-    return frame.moved((cells[:, ::-1] + 0.5) * grid.resolution)
+    return frame.apply((cells[:, ::-1] + 0.5) * grid.resolution)
 
 
 def _cells(points: _Floats, grid: OccupancyGrid) -> _Cells:
     """Return the cells (N, 2) as (row, column) that contain points; they may be off the map."""
     origin = np.asarray(grid.frame.origin, np.float64)
     frame = Alignment(float(origin[2]), origin[:2])
-    at = frame.inverse().moved(points) / grid.resolution
+    at = frame.inverse().apply(points) / grid.resolution
     # A point so far away that its cell has no whole number is off the map in any case.
     cells: _Cells = np.floor(np.clip(at, -1e15, 1e15)[:, ::-1]).astype(np.int64)
     return cells

@@ -13,7 +13,7 @@ from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.localisation import (
     AbsoluteError,
     absolute_error,
-    aligned,
+    align,
     map_agreement,
     relative_error,
 )
@@ -45,7 +45,7 @@ def log_metrics(mapped: LogMap) -> dict[str, Any]:
     poses = mapped.estimated if mapped.true is None else mapped.true
     walls = None
     if mapped.true is not None and mapped.reference is not None:
-        alignment = aligned(mapped.true, mapped.estimated)
+        alignment = align(mapped.true, mapped.estimated)
         walls = map_agreement(mapped.reference, mapped.map, alignment)
     return {
         "num_scans": len(mapped.times),
@@ -86,7 +86,7 @@ def log_figure(mapped: LogMap) -> "Figure":
     from matplotlib.figure import Figure
 
     grid = mapped.map
-    belief = grid.cropped(grid.probability)
+    belief = grid.crop(grid.probability)
     low, high = _extent(mapped, belief)
     size = high - low
     inches = np.clip(9.0 * size / size.max(), [3.6, 2.0], 9.0)

@@ -66,17 +66,17 @@ class Column(NamedTuple):
             found = [read(each) for each in runs]
             return quartiles([missing if each is None else float(each) for each in found])
 
-        def shown(spread: Quartiles) -> str:
+        def format_spread(spread: Quartiles) -> str:
             low, median, high = (
                 f"{scale * each:.{digits}f}" if math.isfinite(each) else "-" for each in spread
             )
             # Equal quartiles, as of a single run, would only repeat the median.
             return median if low == high else f"{median}{separator}[{low}, {high}]"
 
-        return cls(name, header, value, shown, applies)
+        return cls(name, header, value, format_spread, applies)
 
     @classmethod
-    def finished(cls) -> "Column":
+    def num_finished(cls) -> "Column":
         """Make a column with the number of finished runs, of all."""
         return cls(
             "num_finished",
@@ -194,9 +194,9 @@ class Metrics(abc.ABC):
             if value is None or isinstance(value, bool | int | float | str):
                 shown = text(value, 3) if value is None or isinstance(value, float) else str(value)
                 rows.append((name.replace("_", " "), shown))
-        return rows + self.closing_rows()
+        return rows + self.last_rows()
 
-    def closing_rows(self) -> list[tuple[str, str]]:
+    def last_rows(self) -> list[tuple[str, str]]:
         """Return the last rows of every table: time, seed and software."""
         versions = self.versions
         return [
@@ -212,9 +212,7 @@ class Metrics(abc.ABC):
         return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
 
 
-def sampled_series(
-    series: Mapping[str, np.ndarray], period: float
-) -> dict[str, list[float | None]]:
+def thin_series(series: Mapping[str, np.ndarray], period: float) -> dict[str, list[float | None]]:
     """Thin series (N + 1,) to one point per `CURVE_PERIOD`, the end included.
 
     Args:

@@ -16,18 +16,18 @@ import numpy as np
 from PIL import Image
 
 from jaxplore import _kinds
-from jaxplore.maps.datum import moved
+from jaxplore.maps.datum import move_points
 from jaxplore.report.compute import Timing as Timing
 from jaxplore.report.compute import compute_cost, software
 from jaxplore.report.drawing.film import (
     FilmOptions,
-    captioned,
+    add_caption,
     check_film,
+    describe_speed,
     evenly_chosen,
-    told_speed,
     write_film,
 )
-from jaxplore.report.drawing.palette import fitted_palette
+from jaxplore.report.drawing.palette import fit_palette
 from jaxplore.report.metrics import Metrics
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Frame:
     places: ClassVar[tuple[str, ...]] = ()
     """Fields that are positions (..., 2) [m]."""
 
-    def moved[F: "Frame"](self: F, offset: np.ndarray, state_names: Sequence[str]) -> F:
+    def move[F: "Frame"](self: F, offset: np.ndarray, state_names: Sequence[str]) -> F:
         """Return the frame with an offset (2,) [m] added to all positions, and to a `state`.
 
         Args:
@@ -58,24 +58,26 @@ class Frame:
         """
         if not offset.any():
             return self
-        changed: dict[str, Any] = {name: moved(getattr(self, name), offset) for name in self.places}
+        changed: dict[str, Any] = {
+            name: move_points(getattr(self, name), offset) for name in self.places
+        }
         if hasattr(self, "state"):
-            changed["state"] = moved_states(self.state, offset, state_names)
+            changed["state"] = move_states(self.state, offset, state_names)
         return dataclasses.replace(self, **changed)
 
 
-def moved_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) -> np.ndarray:
+def move_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """Return states (..., nx) with an offset (2,) [m] added to x and y, if they have them."""
     if "x" not in names or "y" not in names:
         return states
-    return moved(states, offset, (names.index("x"), names.index("y")))
+    return move_points(states, offset, (names.index("x"), names.index("y")))
 
 
-def moved_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
+def move_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
     """Return records of steps with an offset (2,) [m] added to their states, if they have any."""
     if not (offset.any() and hasattr(records, "state")):
         return records
-    return records._replace(state=moved_states(records.state, offset, names))
+    return records._replace(state=move_states(records.state, offset, names))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -106,16 +108,16 @@ class RunData:
         """Times (N + 1,) of the start and of the end of each step [s]."""
         return np.arange(self.num_steps + 1) * self.control_period
 
-    def moved[R: "RunData"](self: R, offset: np.ndarray) -> R:
+    def move[R: "RunData"](self: R, offset: np.ndarray) -> R:
         """Return the data with an offset (2,) [m] added to all positions but those of the frames.
 
-        These have `Frame.moved`.
+        These have `Frame.move`.
         """
         if not offset.any():
             return self
-        return dataclasses.replace(self, **self.moved_fields(offset))
+        return dataclasses.replace(self, **self.move_fields(offset))
 
-    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+    def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that are or have positions, with an offset added; none by default."""
         return {}
 
@@ -176,7 +178,7 @@ class Recording(RunData, abc.ABC):
 
     def palette(self, pictures: Sequence[Image.Image]) -> Image.Image:
         """Compute the palette of a GIF from some of its pictures."""
-        return fitted_palette((), pictures)
+        return fit_palette((), pictures)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the content of `arrays.npz`: plain arrays, no pickles.
@@ -224,12 +226,12 @@ class Recording(RunData, abc.ABC):
         _kinds.instance("film", options, FilmOptions)
         suffix = check_film(path, options).suffix.lower()
         frames = evenly_chosen(self.frames, options.max_frames)
-        speed = told_speed(options.speed([frame.time for frame in frames], suffix))
+        speed = describe_speed(options.speed([frame.time for frame in frames], suffix))
         draw, scale = self.painter(options.scale), options.scale
         write_film(
             path,
             frames,
-            lambda frame: captioned(draw(frame), scale, title, speed),
+            lambda frame: add_caption(draw(frame), scale, title, speed),
             self.palette,
             options,
             on_progress,

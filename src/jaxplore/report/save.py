@@ -15,7 +15,7 @@ from jaxplore.report.folder import MARK, run_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Recording
 from jaxplore.report.stored import NAME as STATE
-from jaxplore.report.stored import stored_arrays
+from jaxplore.report.stored import pack_recording
 
 BEFORE_ANIMATION = 0.2
 """Share of the progress bar for everything but the animation, which takes longest."""
@@ -55,7 +55,7 @@ def save_run(
     report = json.dumps(metrics.as_dict(), indent=2, allow_nan=False)
     state = None
     with contextlib.suppress(ValueError):
-        state = {**stored_arrays(recording), **(further or {})}
+        state = {**pack_recording(recording), **(further or {})}
     with run_folder(path, overwrite=overwrite) as folder:
         on_progress(0.0)
         (folder / MARK).write_text(report + "\n", encoding="utf-8")

@@ -32,8 +32,8 @@ METRICS_LIMIT = 2**24
 """Largest `metrics.json` that is read [bytes]."""
 
 
-def stored_arrays(recording: Recording) -> dict[str, np.ndarray]:
-    """Return arrays that hold a recording, for `restored_recording`.
+def pack_recording(recording: Recording) -> dict[str, np.ndarray]:
+    """Return arrays that hold a recording, for `unpack_recording`.
 
     `structure` is JSON: the class, and its fields with their numbers and texts. Arrays are apart.
     Frames are stacked.
@@ -50,17 +50,15 @@ def stored_arrays(recording: Recording) -> dict[str, np.ndarray]:
         stacked = jax.tree.map(lambda *rows: np.stack(rows), *[vars(frame) for frame in frames])
     structure = {
         "kind": type(recording).__name__,
-        "fields": {
-            name: _packed(value, f"fields/{name}", arrays) for name, value in fields.items()
-        },
+        "fields": {name: _pack(value, f"fields/{name}", arrays) for name, value in fields.items()},
         "frame": type(frames[0]).__name__ if frames else None,
         "num_frames": len(frames),
-        "frames": {name: _packed(rows, f"frames/{name}", arrays) for name, rows in stacked.items()},
+        "frames": {name: _pack(rows, f"frames/{name}", arrays) for name, rows in stacked.items()},
     }
     return arrays | {"structure": np.frombuffer(json.dumps(structure).encode(), np.uint8)}
 
 
-def _packed(value: Any, path: str, arrays: dict[str, np.ndarray]) -> Any:
+def _pack(value: Any, path: str, arrays: dict[str, np.ndarray]) -> Any:
     """Return JSON of a value, and put the arrays in it into `arrays`."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return {"value": value}
@@ -68,21 +66,21 @@ def _packed(value: Any, path: str, arrays: dict[str, np.ndarray]) -> Any:
         arrays[path] = np.asarray(value, order="C")
         return {"array": path}
     if isinstance(value, Timing):
-        return {"fields": _packed_all(vars(value), path, arrays)}
+        return {"fields": _pack_all(vars(value), path, arrays)}
     if hasattr(value, "_asdict"):
-        return {"fields": _packed_all(value._asdict(), path, arrays)}
+        return {"fields": _pack_all(value._asdict(), path, arrays)}
     if isinstance(value, Mapping):
-        return {"mapping": _packed_all(value, path, arrays)}
+        return {"mapping": _pack_all(value, path, arrays)}
     if isinstance(value, (tuple, list)):
-        return {"items": [_packed(each, f"{path}/{i}", arrays) for i, each in enumerate(value)]}
+        return {"items": [_pack(each, f"{path}/{i}", arrays) for i, each in enumerate(value)]}
     raise ValueError(
         f"{path} of the recording is {short_repr(value)}; accepted: arrays, numbers, texts, None, "
         "and tuples of them"
     )
 
 
-def _packed_all(values: Mapping[str, Any], path: str, arrays: dict[str, np.ndarray]) -> Any:
-    return {name: _packed(value, f"{path}/{name}", arrays) for name, value in values.items()}
+def _pack_all(values: Mapping[str, Any], path: str, arrays: dict[str, np.ndarray]) -> Any:
+    return {name: _pack(value, f"{path}/{name}", arrays) for name, value in values.items()}
 
 
 def load_run[T](
@@ -102,8 +100,8 @@ def load_run[T](
     report = read_bytes(folder / MARK, "a run folder with this", METRICS_LIMIT)
     data = read_bytes(folder / NAME, "a run folder with this", FILE_LIMIT)
     try:
-        arrays, noted = _limited(data), parse_json(report, METRICS_LIMIT)
-        recording = restored_recording(arrays)
+        arrays, noted = _read_limited(data), parse_json(report, METRICS_LIMIT)
+        recording = unpack_recording(arrays)
         versions = {str(name): value for name, value in noted["versions"].items()}
         metrics = recording.metrics(seed=_seed(noted["seed"]))
         return build(recording, dataclasses.replace(metrics, versions=versions), arrays)
@@ -114,7 +112,7 @@ def load_run[T](
         ) from None
 
 
-def _limited(data: bytes) -> dict[str, np.ndarray]:
+def _read_limited(data: bytes) -> dict[str, np.ndarray]:
     left = CONTENT_LIMIT
 
     def check(name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
@@ -132,8 +130,8 @@ def _seed(value: Any) -> int | None:
     raise ValueError(f"seed is {short_repr(value)}")
 
 
-def restored_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
-    """Return the recording that `stored_arrays` stored.
+def unpack_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
+    """Return the recording that `pack_recording` stored.
 
     Its class, and that of its frames, are looked up among those that are imported.
 
@@ -142,10 +140,10 @@ def restored_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
             malformed may raise a `KeyError` or a `TypeError`.
     """
     structure = parse_json(arrays["structure"].tobytes(), METRICS_LIMIT)
-    kind = _known(Recording, structure["kind"])
+    kind = _find_class(Recording, structure["kind"])
     hints = typing.get_type_hints(kind)
     fields = {
-        name: _unpacked(value, hints.get(name, Any), arrays)
+        name: _unpack(value, hints.get(name, Any), arrays)
         for name, value in structure["fields"].items()
     }
     _check_fields(kind, {**fields, "frames": ()})
@@ -158,8 +156,8 @@ def restored_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
 def _frames(structure: Any, arrays: Mapping[str, np.ndarray]) -> tuple[Frame, ...]:
     if not structure["num_frames"]:
         return ()
-    stacked = {name: _unpacked(each, Any, arrays) for name, each in structure["frames"].items()}
-    frame = _known(Frame, structure["frame"])
+    stacked = {name: _unpack(each, Any, arrays) for name, each in structure["frames"].items()}
+    frame = _find_class(Frame, structure["frame"])
     _check_fields(frame, stacked)
     return tuple(
         frame(**jax.tree.map(lambda rows, i=i: _on_host(rows[i]), stacked))
@@ -167,7 +165,7 @@ def _frames(structure: Any, arrays: Mapping[str, np.ndarray]) -> tuple[Frame, ..
     )
 
 
-def _known(base: type, name: object) -> Any:
+def _find_class(base: type, name: object) -> Any:
     """Return the subclass of a name, or the class itself."""
     classes, found = [base], {}
     while classes:
@@ -194,17 +192,17 @@ def _has_default(field: dataclasses.Field[Any]) -> bool:
     return field.default is not missing or field.default_factory is not missing
 
 
-def _unpacked(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
-    """Return the value of `_packed`, checked against its type hint."""
+def _unpack(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+    """Return the value of `_pack`, checked against its type hint."""
     value: Any
     if "array" in packed:
         value = arrays[packed["array"]]
     elif "items" in packed:
-        value = tuple(_unpacked(each, Any, arrays) for each in packed["items"])
+        value = tuple(_unpack(each, Any, arrays) for each in packed["items"])
     elif "mapping" in packed:
-        value = {name: _unpacked(each, Any, arrays) for name, each in packed["mapping"].items()}
+        value = {name: _unpack(each, Any, arrays) for name, each in packed["mapping"].items()}
     elif "fields" in packed:
-        return _made(packed["fields"], hint, arrays)
+        return _make_record(packed["fields"], hint, arrays)
     else:
         value = packed["value"]
     plain = [typing.get_origin(each) or each for each in _options(hint)]
@@ -216,19 +214,19 @@ def _unpacked(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     return value
 
 
-def _made(fields: Mapping[str, Any], hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+def _make_record(fields: Mapping[str, Any], hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     """Return a NamedTuple or a `Timing` of the class in the hint, by default a `Record`."""
     for kind in _options(hint):
         if kind is Timing:
-            return Timing(**{n: _unpacked(v, Any, arrays) for n, v in fields.items()})
+            return Timing(**{n: _unpack(v, Any, arrays) for n, v in fields.items()})
         if isinstance(kind, type) and hasattr(kind, "_fields"):
             hints = typing.get_type_hints(kind)
             # The hints are of one step on the device, so only classes within are of use.
             inner = {name: _tuples(each) for name, each in hints.items()}
-            return kind(**{n: _unpacked(v, inner.get(n, Any), arrays) for n, v in fields.items()})
+            return kind(**{n: _unpack(v, inner.get(n, Any), arrays) for n, v in fields.items()})
     make: Any = namedtuple  # the names are known at run time only
     return make("Record", list(fields))(
-        **{name: _unpacked(value, Any, arrays) for name, value in fields.items()}
+        **{name: _unpack(value, Any, arrays) for name, value in fields.items()}
     )
 
 

@@ -69,6 +69,6 @@ def _plain(cell: str) -> Text:
     return Text(printable(cell))
 
 
-def transposed(rows: Rows) -> list[tuple[str, ...]]:
+def transpose(rows: Rows) -> list[tuple[str, ...]]:
     """Transpose a table."""
     return list(zip(*rows, strict=True))

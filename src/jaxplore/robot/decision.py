@@ -62,7 +62,7 @@ class Driver(NamedTuple):
             controller.latency if isinstance(controller, LatencyCompensation) else 0.0 * self.period
         )
         known = jnp.round(latency / self.period).astype(jnp.int32)
-        ahead = guard.ahead(self.model, watch, known, self.period)
+        ahead = guard.predict(self.model, watch, known, self.period)
         start = jnp.where(is_stopped, jnp.nan, ahead)
         control, after, info = controller.step(memory, start, belief, key=key)
         # A command that is not finite is none: the robot's base then brakes.
@@ -70,7 +70,7 @@ class Driver(NamedTuple):
         control = guard.keep_clear(self.model, watch, start, control, points, time, self.period)
         # The controller starts anew from rest: its plan was not executed.
         after = jax.tree.map(functools.partial(jnp.where, is_stopped), controller.init(), after)
-        watch = guard.sent(self.model, watch, control)
+        watch = guard.add_command(self.model, watch, control)
         # A plan that was not asked for is no failure of the controller.
         is_finite = info.is_finite | (is_stopped & (watch.stop != LOST))
         return Decided(control, after, watch, info._replace(is_finite=is_finite))
@@ -99,4 +99,4 @@ class Driver(NamedTuple):
             lambda *_: guard.braking(self.model, before, measured, points, self.period),
             control,
         )
-        return control, guard.moved(self.model, watch, measured, control, self.period)
+        return control, guard.advance(self.model, watch, measured, control, self.period)

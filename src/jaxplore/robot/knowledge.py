@@ -28,7 +28,7 @@ class Knowledge(NamedTuple):
         """Return the knowledge before the first scan."""
         return cls(jnp.zeros(()), jnp.zeros(()))
 
-    def after(self, belief: Belief, position: Position, period: Scalar) -> "Knowledge":
+    def update(self, belief: Belief, position: Position, period: Scalar) -> "Knowledge":
         """Return the knowledge a period [s] later; the robot takes itself to be at `position`."""
         is_worth = leads_to_information(belief.guidance(position))
         return self._replace(idle=jnp.where(is_worth, 0.0, self.idle + period))

@@ -22,7 +22,7 @@ from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.estimator import PoseEstimator, PoseState
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.odometry_model import OdometryModel
-from jaxplore.localisation.thinning import is_nearly_full, thinned
+from jaxplore.localisation.thinning import is_nearly_full, thin_scans
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
@@ -154,7 +154,7 @@ class Localisation(eqx.Module):
             motion: motion (dx, dy, dyaw) by the odometry, in the frame of the robot [m, m, rad].
             period: time that it took [s].
         """
-        return place._replace(known=self.localiser.predicted(place.known, motion, period))
+        return place._replace(known=self.localiser.predict(place.known, motion, period))
 
     def follow(
         self,
@@ -199,7 +199,7 @@ class Localisation(eqx.Module):
             scans: a scan of each sensor.
             sensors: the sensors.
         """
-        return place._replace(known=self.localiser.corrected(place.known, scans, sensors))
+        return place._replace(known=self.localiser.correct(place.known, scans, sensors))
 
     def replace_closer(self, closer: LoopCloser) -> "Localisation":
         """Return the same localisation with another closer."""
@@ -250,8 +250,8 @@ class Localisation(eqx.Module):
             return place, belief
         known = _localiser_state(place)
         if is_nearly_full(known):
-            known = thinned(known)
-        known, belief = scan_map.revised(
+            known = thin_scans(known)
+        known, belief = scan_map.close_loops(
             self.closer, localiser, known, perception, belief, prior, start
         )
         if place.spreads is None:
@@ -275,7 +275,7 @@ def places_to_revisit(
     return worth.reshape(rows, columns)
 
 
-def corrected_state(robot: Dynamics, state: StateVector, before: Pose, after: Pose) -> StateVector:
+def correct_state(robot: Dynamics, state: StateVector, before: Pose, after: Pose) -> StateVector:
     """Return a state (nx,) moved by the correction of the robot's pose from `before` to `after`."""
     return robot.with_pose(state, compose(after, between(before, robot.pose(state))))
 

@@ -15,7 +15,7 @@ from jaxplore.belief.perception import Perception
 from jaxplore.control.guard import BLIND, GOOD, MISFIT, GuardState, ScanPoints
 from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump, scan_misfit
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.geometry.motion import between, compose, placed
+from jaxplore.geometry.motion import between, compose, transform_points
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.robot.clock import when_due
 from jaxplore.robot.knowledge import Knowledge
@@ -187,7 +187,7 @@ class Robot(NamedTuple):
             is_taken = is_taken & is_mapped_after(own.unfit)
         # The tracker predicts the obstacles at every measurement, also between scans.
         if own.belief.obstacles is not None:
-            later = own.belief.obstacles.after(measured.elapsed)
+            later = own.belief.obstacles.advance(measured.elapsed)
             own = own._replace(belief=dataclasses.replace(own.belief, obstacles=later))
         return own, sight._replace(is_taken=~measured.is_blind & is_taken)
 
@@ -322,7 +322,7 @@ class Robot(NamedTuple):
         self, own: RobotState, measured: Measurement, position: Float[Array, "2"]
     ) -> RobotState:
         """Update what is left to learn; the robot takes itself to be at `position` [m]."""
-        known = own.knowledge.after(own.belief, position, measured.elapsed)
+        known = own.knowledge.update(own.belief, position, measured.elapsed)
         if self.counts_walls:
             known = jax.lax.cond(
                 measured.is_scan_due,
@@ -361,7 +361,7 @@ def tell(known: Obstacles, told: Told, place: Pose | None = None) -> Obstacles:
     if place is not None:
         # What brings the true pose to the known one moves the obstacles as well.
         moving = compose(place, between(told.pose, jnp.zeros(3)))
-        positions = placed(moving, positions)
-        velocities = placed(moving * jnp.array([0.0, 0.0, 1.0]), velocities)
+        positions = transform_points(moving, positions)
+        velocities = transform_points(moving * jnp.array([0.0, 0.0, 1.0]), velocities)
     # The robot predicts the obstacles at every step, so none of the time is left here.
     return known.update(positions, velocities, told.is_seen, told.noise, jnp.zeros(()))

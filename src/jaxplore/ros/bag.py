@@ -79,7 +79,7 @@ def bag_topics(path: str | os.PathLike[str]) -> dict[str, BagTopic]:
         ValueError: a bag that is missing, damaged, compressed as a whole, too large or without
             messages; a missing `rosbags`.
     """
-    with _opened(path) as reader:
+    with _open_bag(path) as reader:
         return _topics(path, reader)
 
 
@@ -130,7 +130,7 @@ def _messages(path: str | os.PathLike[str], topics: frozenset[str]) -> Iterator[
     is_ros1, count = _is_ros1(Path(path)), 0
     store = typestore(is_ros1=is_ros1)
     unpack = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-    with _opened(path, is_checked=True) as reader:
+    with _open_bag(path, is_checked=True) as reader:
         # By type as well: a damaged bag may have a topic twice.
         chosen = [
             each
@@ -190,7 +190,7 @@ def _digest(store: Any, name: str) -> str:
 
 
 @contextmanager
-def _opened(path: str | os.PathLike[str], *, is_checked: bool = False) -> Iterator[Any]:
+def _open_bag(path: str | os.PathLike[str], *, is_checked: bool = False) -> Iterator[Any]:
     """Yield an open reader of a bag, whose files are checked unless they have been."""
     _kinds.instance("path", path, str, os.PathLike)
     version = 1 if _is_ros1(Path(path)) else 2

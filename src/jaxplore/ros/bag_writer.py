@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxplore import _checks, _kinds
-from jaxplore._locks import hidden_container
+from jaxplore._locks import open_hidden_container
 from jaxplore._optional import import_optional
 from jaxplore._text import error_reason, printable_path, short_repr
 from jaxplore.report.folder import in_one_line
@@ -74,7 +74,7 @@ class BagWriter:
         known, connection = self._topics.get(topic, (kind, None))
         if known != kind:
             raise ValueError(f"kind is {kind!r} of topic {topic!r}; accepted: {known!r}")
-        data = _packed(store, kind, message)
+        data = _pack(store, kind, message)
         if connection is None:
             connection = self._writer.add_connection(topic, KINDS[kind], typestore=store)
             self._topics[topic] = (kind, connection)
@@ -89,7 +89,7 @@ def _whole_bag(target: Path, storage: str) -> Iterator[Any]:
     """Yield a writer of a bag in a hidden folder, which is moved to its place at the end."""
     module = import_optional("rosbags.rosbag2", EXTRA)
     plugin = module.StoragePlugin[storage.upper()]
-    with in_one_line("bag", target), _writable(target), hidden_container(target) as hidden:
+    with in_one_line("bag", target), _writable(target), open_hidden_container(target) as hidden:
         # The files of a bag bear the name of its folder.
         folder = hidden / target.name
         with module.Writer(folder, version=VERSION, storage_plugin=plugin) as writer:
@@ -121,9 +121,9 @@ def _check_vacant(target: Path) -> None:
         )
 
 
-def _packed(store: Any, kind: str, message: Any) -> Any:
+def _pack(store: Any, kind: str, message: Any) -> Any:
     """Return the bytes of a message; a missing field or one of another type is a `ValueError`."""
-    typed = _typed(store, KINDS[kind], message, kind)
+    typed = _convert(store, KINDS[kind], message, kind)
     try:
         return store.serialize_cdr(typed, KINDS[kind])
     except Exception as error:
@@ -134,7 +134,7 @@ def _packed(store: Any, kind: str, message: Any) -> Any:
         ) from None
 
 
-def _typed(store: Any, name: str, message: Any, where: str) -> Any:
+def _convert(store: Any, name: str, message: Any, where: str) -> Any:
     """Return a message object of the package from any object with the same attributes."""
     fields = {}
     for field, (shape, of) in store.fielddefs[name][1]:
@@ -147,12 +147,12 @@ def _typed(store: Any, name: str, message: Any, where: str) -> Any:
 
 def _field(store: Any, shape: int, of: Any, value: Any, where: str) -> Any:
     if shape == NESTED:
-        return _typed(store, of, value, where)
+        return _convert(store, of, value, where)
     if shape == SINGLE:
         return value
     (inner_shape, inner), number = of
     if int(inner_shape) == NESTED:
-        return [_typed(store, inner, each, f"{where}[{i}]") for i, each in enumerate(value)]
+        return [_convert(store, inner, each, f"{where}[{i}]") for i, each in enumerate(value)]
     try:
         rows = np.asarray(value)
         packed = rows.astype(inner[0])

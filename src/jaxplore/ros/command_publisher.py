@@ -27,14 +27,14 @@ class CommandPublisher:
         self._lock = threading.Lock()
         self._type = ""
         self._publisher: Any = None
-        self._use(self._found() or "twist")
+        self._use(self._find_type() or "twist")
 
     @property
     def type(self) -> str:
         """Type of the commands, `twist` or `twist_stamped`."""
         return self._type
 
-    def _found(self) -> str:
+    def _find_type(self) -> str:
         """Return the type to use by what is heard now; empty if that says nothing."""
         if self._settings.command_type != "auto":
             return self._settings.command_type
@@ -44,7 +44,7 @@ class CommandPublisher:
 
     def match(self) -> None:
         """Take the type that the robot listens to, and warn of those who listen to another."""
-        topic, found = self._settings.command_topic, self._found()
+        topic, found = self._settings.command_topic, self._find_type()
         if found and found != self._type:
             self._use(found)
             self._link.info(f"commands on {self._link.topic(topic)} are {COMMAND_TYPES[found]}")

@@ -194,10 +194,10 @@ class ControlNode:
         self.link.wait_for(self.settings.scan_topic)
         others = self.link.other_publishers(self.settings.command_topic)
         if others:
-            raise ValueError(self._shared(others[0]))
+            raise ValueError(self._describe_conflict(others[0]))
         self._commands.match()
 
-    def _shared(self, other: str) -> str:
+    def _describe_conflict(self, other: str) -> str:
         topic = self.link.topic(self.settings.command_topic)
         return (
             f"{topic} has another publisher, {messages.text_of(other)}; accepted: one node that "
@@ -213,13 +213,13 @@ class ControlNode:
         began = state.get("began") if isinstance(state, dict) else None
         # Its own messages are heard as well, and have its own time.
         if isinstance(began, float) and began < self._began:
-            self.gave_way = self._shared(NODE)
+            self.gave_way = self._describe_conflict(NODE)
             self.pilot.finish(self.gave_way)
 
     def _warn_of_others(self) -> None:
         """Warn of other publishers of commands that came after this one."""
         for other in self.link.other_publishers(self.settings.command_topic):
-            self.link.warn("other publisher", self._shared(other))
+            self.link.warn("other publisher", self._describe_conflict(other))
 
     def run(self, is_stopped: threading.Event) -> None:
         """Drive until the task is done or the event is set, and then stand."""
@@ -278,7 +278,7 @@ class ControlNode:
             if not former.done():
                 return
             former.result()
-        self._background = self._mapper.submit(self._between, command)
+        self._background = self._mapper.submit(self._work_between_commands, command)
 
     def _take_messages(self) -> float | None:
         """Give the pilot what has arrived; return when the newest scan did."""
@@ -321,7 +321,7 @@ class ControlNode:
             plan.cancel()
             return self.pilot.next_command(self.link.instant())
 
-    def _between(self, command: Command) -> None:
+    def _work_between_commands(self, command: Command) -> None:
         """Do what no command waits for: fields, maps, the plan and the state."""
         now, pilot = self.link.now(), self.pilot
         pilot.update_belief(self.link.instant())
@@ -333,7 +333,7 @@ class ControlNode:
             self._publish_state(change)
         for each in changes or [command]:
             self._tell(each)
-        self.watch.after(command)
+        self.watch.show(command)
         if self._publisher.publish_due(now, self._frame_name, self._state_entries(command)):
             self._warn_of_others()
             self._commands.match()

@@ -104,7 +104,7 @@ class DrivePublisher:
         if self._belief.get_subscription_count():
             message = ros.OccupancyGrid()
             origin = np.asarray(grid.frame.origin, np.float64) + offset
-            probability = grid.cropped(grid.probability)
+            probability = grid.crop(grid.probability)
             map_messages.fill_grid(message, probability, grid.resolution, origin, now, frame)
             self._belief.publish(message)
         if self._information.get_subscription_count():

@@ -198,7 +198,7 @@ class Link:
 
 
 @contextmanager
-def connected(name: str, namespace: str | None = None) -> Iterator[Link]:
+def connect(name: str, namespace: str | None = None) -> Iterator[Link]:
     """Connect to ROS 2 for the duration of a block, with a node as of `Link`.
 
     It raises a `ValueError` if ROS 2 is missing or cannot be started.

@@ -23,14 +23,14 @@ class Pace:
 
     def is_due(self, share: float, now: Instant) -> bool:
         """Check whether a share of the control period has passed since the last command."""
-        return self._left(share, now) <= 0.0
+        return self._time_left(share, now) <= 0.0
 
     def wait_for(self, share: float, now: Instant) -> float:
         """Return how long to wait before the next look [s]."""
-        left = max(0.0, self._left(share, now))
+        left = max(0.0, self._time_left(share, now))
         return min(left, self._period / LOOKS) if now.is_simulated else left
 
-    def _left(self, share: float, now: Instant) -> float:
+    def _time_left(self, share: float, now: Instant) -> float:
         """Return the time until a command is due, by the clock that counts [s]."""
         last = self._last
         if self._moved is None or self._moved.clock != now.clock:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxplore.onboard.localisation import composed, inverse
+from jaxplore.onboard.localisation import compose, inverse
 from jaxplore.onboard.simulated_robot import RobotMeasurement, SimulatedRobot
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.command_publisher import COMMAND_TYPES
@@ -149,7 +149,7 @@ class RobotNode:
         if self._transforms is not None:
             frames = [(WORLD_FRAME, ROBOT_FRAME, measured.pose)]
             if self._map is not None:
-                drift = composed(measured.true_pose, inverse(measured.pose))
+                drift = compose(measured.true_pose, inverse(measured.pose))
                 frames.append((MAP_FRAME, WORLD_FRAME, drift))
             self._transforms.publish(self._transform(now, *frames))
         if measured.scan is not None:
@@ -194,7 +194,7 @@ class RobotNode:
         message = self.link.ros.OccupancyGrid()
         map_messages.fill_grid(
             message,
-            grid.cropped(grid.probability),
+            grid.crop(grid.probability),
             grid.resolution,
             self.robot.scenario.datum.to_map(np.asarray(grid.frame.origin, np.float64)),
             now,

@@ -156,10 +156,10 @@ class Sensor(Beams):
         _kinds.key("key", key)
         pose = _checks.pose("pose", pose)
         if movers is not None:
-            movers = _checks.shaped("movers", movers, ("M", 3), ("M", self.num_beams, 3))
+            movers = _checks.of_shape("movers", movers, ("M", 3), ("M", self.num_beams, 3))
         place, turn = pose[:2], pose[2]
         if starts is not None:
-            starts = _checks.shaped("starts", starts, (self.num_beams, 3))
+            starts = _checks.of_shape("starts", starts, (self.num_beams, 3))
             place, turn = starts[:, :2], starts[:, 2]
         cells = self._cells(world, place, turn)
         solid = cells.is_crossed & (world.at_cell(cells.cell) >= FREE_THRESHOLD)
@@ -298,7 +298,7 @@ class Sensor(Beams):
         _kinds.instance("world", world, OccupancyGrid)
         _kinds.instance("ground", ground, Ground, may_be_none=True)
         pose = _checks.pose("pose", pose)
-        points = _checks.shaped("points", points, ("P", 2))
+        points = _checks.of_shape("points", points, ("P", 2))
         offset = points - pose[:2]
         distance = jnp.sqrt((offset**2).sum(axis=-1))
         is_here = distance < ROUNDING

@@ -13,7 +13,7 @@ from jaxplore._limits import MOST_BEAMS
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore.geometry.rays import TOUCH, RayCells
 from jaxplore.sensing.base import Sensor
-from jaxplore.sensing.fan import checked_range, checked_view
+from jaxplore.sensing.fan import check_range, check_view
 
 STEEPEST = 1.57
 """Greatest angle between an edge of the view and the horizontal [rad]: in single precision it
@@ -75,8 +75,8 @@ class Camera(Sensor):
         range_noise: ArrayLike = 0.0,
     ) -> None:
         self.num_beams = _checks.positive_int("num_beams", num_beams, at_most=MOST_BEAMS)
-        self.max_range = checked_range("max_range", max_range)
-        self.field_of_view = checked_view("field_of_view", field_of_view)
+        self.max_range = check_range("max_range", max_range)
+        self.field_of_view = check_view("field_of_view", field_of_view)
         view = _checks.scalar("vertical_view", vertical_view, above=0.0, below=2.0 * STEEPEST)
         self.vertical_view = view
         self.height = _checks.scalar("height", height, above=0.0)

@@ -196,7 +196,7 @@ def _split_line(line: bytes, at: int, spare: int = 20) -> tuple[list[bytes], int
     head = line.split(None, at + 1)
     beams = _whole(head[at]) if len(head) > at else 0
     if not 1 <= beams <= MOST_BEAMS:
-        shown = _shown(head[at]) if len(head) > at else "no"
+        shown = _show_word(head[at]) if len(head) > at else "no"
         raise BadLineError(
             "beams", f"has {shown} beams; accepted: a whole number from 1 to {MOST_BEAMS}"
         )
@@ -264,7 +264,7 @@ def _check_poses(values: Floats) -> None:
 
 def _not_finite(word: bytes) -> BadLineError:
     return BadLineError(
-        "numbers", f"has {_shown(word)} among its numbers; accepted: finite numbers"
+        "numbers", f"has {_show_word(word)} among its numbers; accepted: finite numbers"
     )
 
 
@@ -274,5 +274,5 @@ def _columns(words: Sequence[bytes], wanted: int, form: str, name: str) -> BadLi
     )
 
 
-def _shown(word: bytes) -> str:
+def _show_word(word: bytes) -> str:
     return short_repr(word[:200].decode("ascii", "backslashreplace"))

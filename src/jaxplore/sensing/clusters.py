@@ -134,7 +134,7 @@ class Edges(NamedTuple):
         return cls(jnp.zeros((number, 2)), jnp.zeros(number, bool))
 
 
-def hiding_edges(
+def find_hiding_edges(
     points: Float[Array, "B 2"],
     ranges: Float[Array, " B"],
     is_edge: Bool[Array, " B"],

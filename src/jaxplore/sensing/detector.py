@@ -74,9 +74,9 @@ class Detector(eqx.Module):
         recall: ArrayLike | Sequence[float] = 0.9,
         reach: ArrayLike = 8.0,
     ) -> None:
-        self.classes = checked_classes(classes)
+        self.classes = check_classes(classes)
         count = len(self.classes)
-        self.confusion = checked_distributions("confusion", confusion, (count, count))
+        self.confusion = check_distributions("confusion", confusion, (count, count))
         self.recall = _recalls(recall, count)
         self.reach = _checks.scalar("reach", reach, above=0.0)
 
@@ -100,7 +100,7 @@ class Detector(eqx.Module):
         """
         if not isinstance(label, str) or label not in self.classes:
             raise ValueError(
-                f"{name} is {_kinds.described(label)}; accepted: {', '.join(self.classes)}"
+                f"{name} is {_kinds.describe(label)}; accepted: {', '.join(self.classes)}"
             )
         return self.classes.index(label)
 
@@ -146,9 +146,9 @@ class Detector(eqx.Module):
             ValueError: an argument of another kind or shape.
         """
         _kinds.key("key", key)
-        label = _checks.shaped("label", label, ("N",), dtype=jnp.int32)
-        distance = _checks.shaped("distance", distance, label.shape)
-        is_viewed = _checks.shaped("is_viewed", is_viewed, label.shape, dtype=jnp.bool_)
+        label = _checks.of_shape("label", label, ("N",), dtype=jnp.int32)
+        distance = _checks.of_shape("distance", distance, label.shape)
+        is_viewed = _checks.of_shape("is_viewed", is_viewed, label.shape, dtype=jnp.bool_)
 
         def outcome(own: Array, away: Array, key: Key) -> Array:
             # A probability of 0 has the logarithm -inf, which is never drawn.
@@ -159,17 +159,17 @@ class Detector(eqx.Module):
         return Detections(drawn, is_viewed, distance)
 
 
-def checked_classes(classes: object) -> tuple[str, ...]:
+def check_classes(classes: object) -> tuple[str, ...]:
     """Return the names of classes as a tuple; refuse fewer than two, and equal ones."""
     accepted = "a list of at least two different names"
     if not isinstance(classes, (list, tuple)) or not all(isinstance(each, str) for each in classes):
-        raise ValueError(f"classes is {_kinds.described(classes)}; accepted: {accepted}")
+        raise ValueError(f"classes is {_kinds.describe(classes)}; accepted: {accepted}")
     if len(classes) < 2 or len(set(classes)) < len(classes) or "" in classes:
         raise ValueError(f"classes is {list(classes)}; accepted: {accepted}")
     return tuple(classes)
 
 
-def checked_distributions(name: str, value: object, shape: tuple[int, ...]) -> Array:
+def check_distributions(name: str, value: object, shape: tuple[int, ...]) -> Array:
     """Return `value` as a float32 array whose rows are probabilities that sum to 1.
 
     A traced value is not checked. Another shape, a value outside [0, 1] or a row with another sum

@@ -75,14 +75,14 @@ def disc_distance(
     return distance.min(axis=0, initial=jnp.inf)
 
 
-def checked_range(name: str, value: float) -> float:
+def check_range(name: str, value: float) -> float:
     """Return a greatest range [m]; warn if its unit is likely to be another one."""
     reach = _checks.number(name, value, above=0.0, at_most=LONGEST_RANGE)
     _checks.warn_above(name, reach, 1000.0, "a range is in metres, not in millimetres")
     return reach
 
 
-def checked_view(name: str, value: float) -> float:
+def check_view(name: str, value: float) -> float:
     """Return a horizontal field of view [rad]; refuse one outside (0, 2 pi]."""
     # 2 pi rounded to float32 is slightly greater than 2 pi.
     return _checks.number(name, value, above=0.0, at_most=2.0 * math.pi + 1e-6)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Scalar
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 
 ODDS_OCCUPIED, ODDS_FREE = math.exp(0.85), math.exp(-0.4)
@@ -114,8 +114,8 @@ class InverseSensorModel(eqx.Module):
         low = jax.scipy.special.logit(_checks.scalar("free", free, above=0.0, below=0.5))
         high = jax.scipy.special.logit(_checks.scalar("occupied", occupied, above=0.5, below=1.0))
         # A step as large as the range of the clamp takes any cell from one clamp to the other.
-        span = computed(lambda _, low, high: high - low, low, high)
-        return cls(span, computed(lambda _, span: -span, span), low, high, is_decisive=True)
+        span = compute(lambda _, low, high: high - low, low, high)
+        return cls(span, compute(lambda _, span: -span, span), low, high, is_decisive=True)
 
     def log_odds(self, probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
         """Return the log-odds `ln(p / (1 - p))`, clipped to the clamp; p may be 0 or 1."""
@@ -140,7 +140,7 @@ class InverseSensorModel(eqx.Module):
         is_kept = (log_odds_change == 0.0) | self.stays(probability, log_odds_change)
         return jnp.where(is_kept, probability, updated)
 
-    def settled(self, probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
+    def settle(self, probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
         """Return the probabilities that expected information is computed with.
 
         For a decisive model, cells at the clamp become exactly 0 or 1. Other probabilities are

@@ -14,7 +14,7 @@ from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.geometry.rays import RayCells
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
-from jaxplore.sensing.fan import checked_range, checked_view, first_entry
+from jaxplore.sensing.fan import check_range, check_view, first_entry
 from jaxplore.sensing.lidar_errors import LidarErrors
 from jaxplore.sensing.mount import LidarMount
 
@@ -76,8 +76,8 @@ class Lidar(Sensor):
         mount: LidarMount | None = None,
     ) -> None:
         self.num_beams = _checks.positive_int("num_beams", num_beams, at_most=MOST_BEAMS)
-        self.max_range = checked_range("max_range", max_range)
-        self.field_of_view = checked_view("field_of_view", field_of_view)
+        self.max_range = check_range("max_range", max_range)
+        self.field_of_view = check_view("field_of_view", field_of_view)
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
         self.height = _checks.scalar("height", height, above=0.0)
         _kinds.instance("errors", errors, LidarErrors, may_be_none=True)

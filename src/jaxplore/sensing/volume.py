@@ -19,7 +19,7 @@ from jaxplore.geometry.voxel_rays import VoxelStep, walk
 from jaxplore.maps.voxel_grid import OCCUPIED_ABOVE, VoxelGrid, contains, flat_index
 from jaxplore.maps.window import Window
 from jaxplore.sensing.beams import fan_angles
-from jaxplore.sensing.fan import checked_range, checked_view
+from jaxplore.sensing.fan import check_range, check_view
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 Rotation = Float[Array, "3 3"]
@@ -108,7 +108,7 @@ class VolumeSensor(eqx.Module):
         ranges = jnp.where(is_return, jnp.clip(noisy, 0.0, self.max_range), self.max_range)
         return VolumeScan(ranges, is_return)
 
-    def updated(
+    def update(
         self,
         grid: VoxelGrid,
         position: Float[Array, "3"],
@@ -249,7 +249,7 @@ class DepthCamera(VolumeSensor):
     ) -> None:
         self.columns = _checks.positive_int("columns", columns, at_most=MOST_PIXELS)
         self.rows = _checks.positive_int("rows", rows, at_most=MOST_PIXELS)
-        self.max_range = checked_range("max_range", max_range)
+        self.max_range = check_range("max_range", max_range)
         self.field_of_view = _checks.number("field_of_view", field_of_view, above=0.0, below=WIDE)
         self.vertical_view = _checks.number("vertical_view", vertical_view, above=0.0, below=WIDE)
         self.tilt = _checks.number("tilt", tilt, at_least=-0.5 * math.pi, at_most=0.5 * math.pi)
@@ -315,8 +315,8 @@ class RingLidar(VolumeSensor):
     ) -> None:
         self.rings = _checks.positive_int("rings", rings, at_most=MOST_PIXELS)
         self.columns = _checks.positive_int("columns", columns, at_most=MOST_PIXELS)
-        self.max_range = checked_range("max_range", max_range)
-        self.field_of_view = checked_view("field_of_view", field_of_view)
+        self.max_range = check_range("max_range", max_range)
+        self.field_of_view = check_view("field_of_view", field_of_view)
         quarter = 0.5 * math.pi
         self.lowest = _checks.number("lowest", lowest, at_least=-quarter, at_most=quarter)
         self.highest = _checks.number("highest", highest, at_least=self.lowest, at_most=quarter)

@@ -17,7 +17,7 @@ _PLAIN = {
 """Words for the types of a JSON schema that have no parts."""
 
 
-def accepted_values(section: type[BaseModel], name: str) -> str:
+def describe_accepted(section: type[BaseModel], name: str) -> str:
     """Return the accepted values of a setting in words, such as `number in (0, 1]`.
 
     Args:
@@ -57,8 +57,8 @@ def _words(schema: dict[str, Any]) -> str:
 
 
 def _bounds(schema: dict[str, Any]) -> str:
-    least, above = _shown(schema, "minimum"), _shown(schema, "exclusiveMinimum")
-    most, below = _shown(schema, "maximum"), _shown(schema, "exclusiveMaximum")
+    least, above = _show_bound(schema, "minimum"), _show_bound(schema, "exclusiveMinimum")
+    most, below = _show_bound(schema, "maximum"), _show_bound(schema, "exclusiveMaximum")
     if (least is None and above is None) or (most is None and below is None):
         signs = {">=": least, ">": above, "<=": most, "<": below}
         return "".join(f" {sign} {bound}" for sign, bound in signs.items() if bound is not None)
@@ -67,7 +67,7 @@ def _bounds(schema: dict[str, Any]) -> str:
     return f" in {begins}, {ends}"
 
 
-def _shown(schema: dict[str, Any], name: str) -> object:
+def _show_bound(schema: dict[str, Any], name: str) -> object:
     bound = schema.get(name)
     # Every number has this bound, which the page of settings says once.
     if bound is None or abs(bound) == LARGEST:

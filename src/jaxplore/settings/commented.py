@@ -18,7 +18,7 @@ _BEGINNING = (
 )
 
 
-def commented_yaml(settings: RunSettings) -> str:
+def to_commented_yaml(settings: RunSettings) -> str:
     """Return settings as YAML, with the meaning and the accepted values above each of them.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from jaxplore._limits import MOST_NAMES
-from jaxplore._spelling import spelled
+from jaxplore._spelling import match_spelling
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
@@ -56,7 +56,7 @@ from jaxplore.settings.sections import (
     Spacing,
     Wait,
     Width,
-    checked_section,
+    check_section,
 )
 from jaxplore.settings.sections import read_settings as read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -300,7 +300,7 @@ def make_exploration_settings(entries: dict[str, Any]) -> Settings:
     explored_by = Settings.model_fields["architecture"].default
     if entries.get("architecture", explored_by) == explored_by:
         entries = under_their_settings(entries, ControllerSettings)
-    return checked_section(Settings, entries)
+    return check_section(Settings, entries)
 
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
@@ -308,7 +308,7 @@ def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
     entries = {**entries}
     for name, words in (("map", SCENARIOS), ("architecture", ARCHITECTURES)):
         if name in entries:
-            entries[name] = spelled(entries[name], words)
+            entries[name] = match_spelling(entries[name], words)
     # Saved settings contain the world beside the name of the scenario, which is then not read.
     if entries.get("map") in SCENARIOS and entries.get("world") is None:
         entries = merge_entries(read_settings(scenario_path(entries["map"])), entries)

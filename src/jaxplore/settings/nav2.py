@@ -168,7 +168,7 @@ def read_nav2(path: Path, task: str = "exploration", controller: str | None = No
         _other_robot(given, writer, tree)
     _rates(writer, server)
     _clearance(writer, tree)
-    for rest in given.unread() if name in mppi else ():
+    for rest in given.list_unread() if name in mppi else ():
         given.leave(rest, reasons.of_parameter(rest))
     check = make_exploration_settings if task == "exploration" else make_path_settings
     check(entries)
@@ -223,7 +223,7 @@ class _Given:
         if of_it or name in self.critics:
             self.left_out.append(LeftOut(f"{self.name}.{name}", reason))
 
-    def unread(self) -> list[str]:
+    def list_unread(self) -> list[str]:
         """Return the names that nothing has read."""
         return [name for name in self.values if name not in self._read]
 

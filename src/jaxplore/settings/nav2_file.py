@@ -28,7 +28,7 @@ def outline(tree: Tree) -> Outline:
         section = costmap(tree, name)
         corners = section.get("footprint")
         if isinstance(corners, str) and corners.strip() not in ("", "[]"):
-            corners = _parsed(name, corners)
+            corners = _parse(name, corners)
         if isinstance(corners, list) and corners:
             try:
                 return [(number("x", x), number("y", y)) for x, y in corners]
@@ -40,7 +40,7 @@ def outline(tree: Tree) -> Outline:
     return None
 
 
-def _parsed(name: str, text: str) -> Any:
+def _parse(name: str, text: str) -> Any:
     try:
         return parse_json(text, _MOST_CORNERS)
     except ValueError:

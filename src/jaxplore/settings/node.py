@@ -18,7 +18,7 @@ from jaxplore.settings.sections import (
     Real,
     Section,
     Width,
-    checked_section,
+    check_section,
 )
 
 
@@ -141,4 +141,4 @@ def part_node(entries: Mapping[str, Any]) -> tuple[dict[str, Any], NodeSettings]
     """
     run = dict(entries)
     node = {"node": run.pop("node")} if "node" in run else {}
-    return run, checked_section(DriveSettings, node).node
+    return run, check_section(DriveSettings, node).node

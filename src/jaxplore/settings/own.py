@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from jaxplore._spelling import spelled
+from jaxplore._spelling import match_spelling
 
 OWN = "MODULE:NAME"
 """How messages and the reference write such a name."""
@@ -40,7 +40,7 @@ class WordsOrOwn:
 
     def __get_pydantic_core_schema__(self, kind: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return the schema with which pydantic checks a value."""
-        return core_schema.no_info_after_validator_function(self._checked, handler(kind))
+        return core_schema.no_info_after_validator_function(self._check, handler(kind))
 
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
@@ -48,8 +48,8 @@ class WordsOrOwn:
         """Return the schema from which the reference is made."""
         return {**handler(schema), "enum": list(self.words), "code": OWN}
 
-    def _checked(self, value: str) -> str:
-        value = spelled(value, self.words)
+    def _check(self, value: str) -> str:
+        value = match_spelling(value, self.words)
         if value not in self.words and not is_own(value):
             expected = ", ".join(map(repr, self.words))
             raise PydanticCustomError(

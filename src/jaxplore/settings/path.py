@@ -36,7 +36,7 @@ from jaxplore.settings.sections import (
     Step,
     StepsAhead,
     WeightingName,
-    checked_section,
+    check_section,
 )
 from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.simulation.following.traffic import Traffic
@@ -183,4 +183,4 @@ def make_path_settings(entries: dict[str, Any]) -> PathSettings:
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
     """
-    return checked_section(PathSettings, under_their_settings(entries, ContouringSettings))
+    return check_section(PathSettings, under_their_settings(entries, ContouringSettings))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from jaxplore.settings.accepted import accepted_values, choices
+from jaxplore.settings.accepted import choices, describe_accepted
 from jaxplore.settings.defaults import DIFFERENCES, description_in, descriptions, unit
 from jaxplore.settings.exploration import (
     OFFICE,
@@ -207,7 +207,7 @@ def _row(task: str, section: type[BaseModel], name: str, field: FieldInfo) -> Ro
         unit="degrees" if is_in_degrees else unit(meaning),
         default=default,
         is_required=field.is_required(),
-        accepted=accepted_values(section, last),
+        accepted=describe_accepted(section, last),
         choices=choices(section, last),
         reader=found,
         scenarios=tuple(each for each in _places(task) if found.reads(place_settings(each))),

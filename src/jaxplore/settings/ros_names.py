@@ -28,7 +28,7 @@ TOPIC_RULE = f"a topic such as scan or /scan: {_RULE}"
 """Accepted topics, for messages."""
 
 
-def checked_namespace(name: str, value: str) -> str:
+def check_namespace(name: str, value: str) -> str:
     """Return a namespace without its leading slash.
 
     Args:
@@ -45,7 +45,7 @@ def checked_namespace(name: str, value: str) -> str:
 
 def _namespace(value: str) -> str:
     try:
-        return checked_namespace("namespace", value)
+        return check_namespace("namespace", value)
     except ValueError:
         raise PydanticCustomError("ros_name", NAMESPACE_RULE) from None
 

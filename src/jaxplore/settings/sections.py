@@ -43,9 +43,9 @@ from jaxplore._limits import (
     SMALLEST,
     WIDEST,
 )
-from jaxplore._spelling import spelled
+from jaxplore._spelling import match_spelling
 from jaxplore._text import printable_path, short_repr
-from jaxplore.settings.accepted import accepted_values
+from jaxplore.settings.accepted import describe_accepted
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.own import check_trusted
 from jaxplore.simulation.faults import Faults
@@ -115,10 +115,14 @@ class Section(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _spelled(cls, value: Any, info: ValidationInfo) -> Any:
+    def _match_spelling(cls, value: Any, info: ValidationInfo) -> Any:
         """Accept words in either spelling, `weighted_vote` and `weighted-vote`."""
         annotation = cls.model_fields[str(info.field_name)].annotation
-        return spelled(value, get_args(annotation)) if get_origin(annotation) is Literal else value
+        return (
+            match_spelling(value, get_args(annotation))
+            if get_origin(annotation) is Literal
+            else value
+        )
 
 
 class FaultSettings(Section):
@@ -221,7 +225,7 @@ def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> 
     return entries
 
 
-def checked_section[Checked: BaseModel](kind: type[Checked], entries: dict[str, Any]) -> Checked:
+def check_section[Checked: BaseModel](kind: type[Checked], entries: dict[str, Any]) -> Checked:
     """Check settings entries against a section.
 
     Raises:
@@ -250,7 +254,7 @@ def _one_line(settings: type[BaseModel], entries: dict[str, Any], error: ErrorDe
     if kind == "extra_forbidden":
         # The accepted names are those of the section that holds the unknown one.
         return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
-    accepted = accepted_values(section, str(where[depth - 1]))
+    accepted = describe_accepted(section, str(where[depth - 1]))
     if kind == "missing" and depth == len(where):
         accepted = "the YAML file of a ROS map, or office" if where == ("map",) else accepted
         return f"setting {name} is missing; accepted: {accepted}"

@@ -41,7 +41,7 @@ from jaxplore.settings.sections import (
     Spacing,
     Step,
     StepsAhead,
-    checked_section,
+    check_section,
 )
 from jaxplore.simulation.volume.scenario import VolumeScenario
 
@@ -242,7 +242,7 @@ def make_volume_settings(entries: dict[str, Any]) -> VolumeSettings:
     """
     if entries.get(VOLUME) == VOLUME:
         entries = {name: value for name, value in entries.items() if name != VOLUME}
-    settings = checked_section(VolumeSettings, entries)
+    settings = check_section(VolumeSettings, entries)
     if not names_volume(settings.volume):
         raise ValueError(
             f"setting volume is {settings.volume!r}; accepted: {', '.join(GENERATED)}, or a file "

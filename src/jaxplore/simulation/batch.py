@@ -21,7 +21,7 @@ from jaxplore.simulation.chunks import CHUNK_SECONDS, FRAME_SECONDS, ChunkedRun,
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.loop import (
     closed_loop_step,
-    copied,
+    copy_tree,
     frame_arrays,
     initial_loop_state,
 )
@@ -131,18 +131,18 @@ def record_experiments(
 
     def revise(batch: RunBatch) -> RunBatch:
         runs = (_run_at(batch.states, i) for i in range(len(experiments)))
-        unfinished = np.asarray(_unfinished(stacked, batch.states))
+        unfinished = np.asarray(_are_unfinished(stacked, batch.states))
         alone = [
-            one.scenario.revised(state) if is_left else state
+            one.scenario.update_on_host(state) if is_left else state
             for one, state, is_left in zip(experiments, runs, unfinished, strict=True)
         ]
         return batch._replace(states=jax.tree.map(lambda *each: jnp.stack(each), *alone))
 
     together = run_in_chunks(
         run,
-        lambda batch: jnp.any(_unfinished(stacked, batch.states)),
+        lambda batch: jnp.any(_are_unfinished(stacked, batch.states)),
         frames,
-        copied(before),
+        copy_tree(before),
         began=began,
         limit=limit,
         chunk=chunk,
@@ -152,7 +152,7 @@ def record_experiments(
         revise_every=every or 0,
     )
     recordings = tuple(
-        scenario.recording(controller, _run_at(before.states, i).task, _alone(together, i))
+        scenario.recording(controller, _run_at(before.states, i).task, _extract_run(together, i))
         for i, (controller, scenario) in enumerate(pairs)
     )
     return recordings, stacked.differs
@@ -164,7 +164,7 @@ def _run_at[T](together: T, i: int) -> T:
     return alone
 
 
-def _alone(
+def _extract_run(
     together: ChunkedRun[RunBatch, Any, tuple[Frame, ...]], i: int
 ) -> ChunkedRun[LoopState, Any, Frame]:
     """Extract one of the runs, as if it had been simulated alone."""
@@ -198,7 +198,7 @@ def _begin(stacked: Stacked, keys: Keys, size: int) -> RunBatch:
 
 
 @eqx.filter_jit
-def _unfinished(stacked: Stacked, states: LoopState) -> Bool[Array, " B"]:
+def _are_unfinished(stacked: Stacked, states: LoopState) -> Bool[Array, " B"]:
     def one(arrays: tuple[Array, ...], state: LoopState) -> Flag:
         scenario: Scenario = stacked.tree(arrays)[1]
         return scenario.is_unfinished(state.task)
@@ -224,7 +224,7 @@ def _run_chunk(
 
         after, record = jax.vmap(one, in_axes=axes)(stacked.arrays, states, keys)
         # A finished run keeps its state while the others continue.
-        choose = functools.partial(jax.vmap(jnp.where), _unfinished(stacked, states))
+        choose = functools.partial(jax.vmap(jnp.where), _are_unfinished(stacked, states))
         return RunBatch(jax.tree.map(choose, after, states), clock + 1), record
 
     size = batch.states.step.shape[0]
@@ -236,7 +236,7 @@ def _run_chunk(
         scenario.blank_records(first.task, controller, capacity),
     )
     return loop(
-        step, lambda batch: jnp.any(_unfinished(stacked, batch.states)), batch, blank, num_steps
+        step, lambda batch: jnp.any(_are_unfinished(stacked, batch.states)), batch, blank, num_steps
     )
 
 

@@ -63,7 +63,7 @@ class Checkpoint:
         loop: ChunkedRun[Any, Any, Frame] = ChunkedRun(
             tuple(arrays[f"{_STATE}{i}"] for i in range(number)),
             # A recording is in the coordinates of the map, the loop is not.
-            recording.moved(-datum).records,
+            recording.move(-datum).records,
             recording.frames,
             recording.timing,
             recording.num_steps,

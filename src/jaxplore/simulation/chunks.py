@@ -45,7 +45,7 @@ def loop[S, R](
     records that are filled.
     """
 
-    def unfinished(carry: tuple[S, R, Array]) -> Array:
+    def goes_on(carry: tuple[S, R, Array]) -> Array:
         current, _, done = carry
         return (done < num_steps) & is_unfinished(current)
 
@@ -55,7 +55,7 @@ def loop[S, R](
         records = jax.tree.map(lambda rows, row: rows.at[done].set(row), records, record)
         return current, records, done + 1
 
-    return jax.lax.while_loop(unfinished, advance, (state, blank, jnp.zeros((), jnp.int32)))
+    return jax.lax.while_loop(goes_on, advance, (state, blank, jnp.zeros((), jnp.int32)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,9 +223,9 @@ def run_in_chunks[S, R, F](
 
     `former` is the part of the run that is done, which ended in `state`; None to start. The result
     is the whole run, and `limit` includes the steps of `former`. `revise` changes the state every
-    `revise_every` steps, see `Scenario.revised`. These steps depend on nothing else, so a run is
-    the same with every length of chunks. `began` is `time.perf_counter()` at the beginning of the
-    preparations [s].
+    `revise_every` steps, see `Scenario.update_on_host`. These steps depend on nothing else, so a
+    run is the same with every length of chunks. `began` is `time.perf_counter()` at the beginning
+    of the preparations [s].
     """
 
     def advance(current: S, steps: int) -> tuple[S, Any, int, float]:

@@ -95,7 +95,7 @@ class Faults(eqx.Module):
         """Return the world at a time since the start, with the walls that have appeared."""
         if self.walls is None:
             return world
-        # The world's arrays may be larger than its map, see `OccupancyGrid.padded`.
+        # The world's arrays may be larger than its map, see `OccupancyGrid.pad`.
         more = [size - own for size, own in zip(world.shape, self.walls.shape, strict=True)]
         walls = jnp.pad(self.walls, [(0, max(0, each)) for each in more])
         is_solid = walls & (time >= self.walls_from)

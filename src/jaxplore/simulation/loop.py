@@ -35,17 +35,17 @@ def moment_at(scenario: Scenario, state: LoopState, key: Key) -> Moment:
     time = period * state.step.astype(jnp.float32)
     found = scenario.disturbances.observe(
         scenario.robot,
-        scenario.measured(state.task),
+        scenario.measure_state(state.task),
         state.observed,
         state.drawn,
         time,
         period,
         jax.random.fold_in(key, state.step),
     )
-    return _judged(scenario, state, Moment(state.step, time, *found))
+    return _judge(scenario, state, Moment(state.step, time, *found))
 
 
-def _judged(scenario: Scenario, state: LoopState, moment: Moment) -> Moment:
+def _judge(scenario: Scenario, state: LoopState, moment: Moment) -> Moment:
     """Return the moment with the judgement of the guard: a state that it does not trust is NaN."""
     if scenario.guard is None or state.guard is None:
         return moment
@@ -156,7 +156,7 @@ def run_chunk(
 
 
 @eqx.filter_jit
-def copied[Tree](tree: Tree) -> Tree:
+def copy_tree[Tree](tree: Tree) -> Tree:
     """Return a tree whose arrays have memory of their own, which `run_chunk` may use again."""
     return tree
 

@@ -207,7 +207,7 @@ class Watch[S]:
         for each in self._shown:
             each.monitor.end(recording)
 
-    def after_chunk(self, chunk: Chunk[S, Any], text: str) -> int:
+    def show_chunk(self, chunk: Chunk[S, Any], text: str) -> int:
         """Show a chunk, wait as the monitors ask for, and return the length of the next one.
 
         `text` is the progress of the task in words. The length is a greatest number of steps; with

@@ -134,9 +134,9 @@ class Plant(Dynamics):
         """Return the control (nu,) that brakes the model hardest."""
         return self.model.stopping_control(state, dt, turn)
 
-    def blocked(self, before: StateVector, after: StateVector) -> StateVector:
+    def resolve_collision(self, before: StateVector, after: StateVector) -> StateVector:
         """Return the state after a collision stopped the robot."""
-        return self.model.blocked(before, after)
+        return self.model.resolve_collision(before, after)
 
 
 class ContinuousPlant(Plant, ContinuousDynamics):

@@ -18,7 +18,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_STEPS
 from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller
-from jaxplore.maps.lattice_figure import shown_in_notebooks
+from jaxplore.maps.lattice_figure import show_in_notebooks
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.figure import PNG
 from jaxplore.report.drawing.film import FPS, SCALE, Film, FilmOptions
@@ -34,7 +34,7 @@ from jaxplore.simulation.chunks import (
     ChunkedRun,
     run_in_chunks,
 )
-from jaxplore.simulation.loop import copied, frame_arrays, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copy_tree, frame_arrays, initial_loop_state, run_chunk
 from jaxplore.simulation.monitor import Monitor, Watch
 from jaxplore.simulation.scenario import Scenario, blank_recording
 from jaxplore.simulation.state import LoopState
@@ -96,7 +96,7 @@ class Run:
         chosen = next(iter(figures), "") if name is None else name
         if chosen not in figures:
             raise ValueError(f"name is {name!r}; accepted: {', '.join(figures) or 'none'}")
-        return shown_in_notebooks(figures[chosen]())
+        return show_in_notebooks(figures[chosen]())
 
     def _repr_html_(self) -> str:
         """Return the first figure and the metrics, for notebooks."""
@@ -353,7 +353,7 @@ def _closed_loop(
         if not monitors:
             return capacity
         records = scenario.records_on_map(chunk.records)
-        return watch.after_chunk(dataclasses.replace(chunk, records=records), text)
+        return watch.show_chunk(dataclasses.replace(chunk, records=records), text)
 
     if monitors:
         frame = make_frame(watch.planner, first, total)
@@ -365,14 +365,14 @@ def _closed_loop(
             lambda current: scenario.is_unfinished(current.task),
             lambda current, step: make_frame(watch.planner, current, step),
             # The first state is read again after the run, or belongs to the user.
-            copied(first),
+            copy_tree(first),
             began=began,
             limit=limit,
             chunk=capacity,
             interval=max(1, round(FRAME_SECONDS / period)),
             on_chunk=report,
             former=None if former is None else former.loop,
-            revise=scenario.revised if scenario.steps_per_revision else None,
+            revise=scenario.update_on_host if scenario.steps_per_revision else None,
             revise_every=scenario.steps_per_revision or 0,
         )
         recording = scenario.recording(watch.controller, initial.task, done)

@@ -21,7 +21,7 @@ from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.report.compute import Timing
 from jaxplore.report.metrics import Metrics
-from jaxplore.report.recording import Frame, Recording, moved_records
+from jaxplore.report.recording import Frame, Recording, move_records
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.disturbances import Disturbances
 from jaxplore.simulation.faults import Faults
@@ -52,11 +52,11 @@ class Scenario(eqx.Module):
     faults: eqx.AbstractVar[Faults | None]
     """Injected faults; None without any."""
     variation: Variation | None = dataclasses.field(default=None, kw_only=True)
-    """Variation of the robot from episode to episode; None without any. See `varied`."""
+    """Variation of the robot from episode to episode; None without any. See `with_variation`."""
     placed: HostOnly[Datum] = eqx.field(static=True, default=HostOnly(ORIGIN), kw_only=True)
     """Holder of `datum`."""
     guard: MotionGuard | None = dataclasses.field(default=None, kw_only=True)
-    """Guard that stops the robot while its pose cannot be true; None without one. See `guarded`."""
+    """Guard that stops the robot while its pose cannot be true, or None. See `with_guard`."""
 
     frame_type: ClassVar[type[Frame]] = Frame
     """Class of the frames; `frame` returns its fields."""
@@ -72,7 +72,7 @@ class Scenario(eqx.Module):
         0.019999999552965164."""
         return round(float(self.control_period), 7)
 
-    def varied[S: "Scenario"](self: S, variation: Variation | None) -> S:
+    def with_variation[S: "Scenario"](self: S, variation: Variation | None) -> S:
         """Return the scenario with a robot that varies from episode to episode.
 
         Args:
@@ -86,7 +86,7 @@ class Scenario(eqx.Module):
             variation.check(self.robot)
         return with_field(self, "variation", variation)
 
-    def guarded[S: "Scenario"](self: S, guard: MotionGuard | None) -> S:
+    def with_guard[S: "Scenario"](self: S, guard: MotionGuard | None) -> S:
         """Return the scenario with a guard that stops the robot while its pose cannot be true.
 
         Args:
@@ -100,7 +100,7 @@ class Scenario(eqx.Module):
         """What the true robot differs by from its model, and what fails."""
         return Disturbances(self.faults, self.variation)
 
-    def measured(self, state: Any) -> StateVector:
+    def measure_state(self, state: Any) -> StateVector:
         """Return the state (nx,) that the robot's base measures: by default the true one.
 
         Args:
@@ -125,7 +125,7 @@ class Scenario(eqx.Module):
 
     def records_on_map(self, records: Any) -> Any:
         """Return records of steps in NumPy, with their states in the coordinates of the map."""
-        return moved_records(records, self.datum.offset, self.robot.state_names)
+        return move_records(records, self.datum.offset, self.robot.state_names)
 
     @property
     def objective(self) -> str:
@@ -206,14 +206,14 @@ class Scenario(eqx.Module):
 
         fields = jax.tree.map(on_host, dict(arrays))
         frame = self.frame_type(step=step, time=step * self.period, **fields)
-        return frame.moved(self.datum.offset, self.robot.state_names)
+        return frame.move(self.datum.offset, self.robot.state_names)
 
     @property
     def steps_per_revision(self) -> int | None:
-        """Control periods between two calls of `revised`; None, the default, for no call."""
+        """Control periods between two calls of `update_on_host`; None, the default, for no call."""
         return None
 
-    def revised(self, state: LoopState) -> LoopState:
+    def update_on_host(self, state: LoopState) -> LoopState:
         """Return the state of the loop after work that is not compiled into it, on the host.
 
         It is for what a library does, such as the optimisation of a pose graph. It is called

@@ -107,7 +107,7 @@ class Variation(eqx.Module):
         given = {} if parameters is None else parameters
         if not isinstance(given, Mapping):
             raise ValueError(
-                f"parameters is {_kinds.described(given)}; accepted: intervals (low, high) by the "
+                f"parameters is {_kinds.describe(given)}; accepted: intervals (low, high) by the "
                 "path of a parameter"
             )
         # Sorted, so that the order of a settings file changes no draw.
@@ -175,7 +175,7 @@ class Variation(eqx.Module):
         # The numbers are drawn in this order: parameters come last, so that a further one leaves
         # the draws of the others as they are only if its name is the last.
         drawn = {
-            name: _between(interval, shares[i])
+            name: _interpolate(interval, shares[i])
             for i, (name, interval) in enumerate(scalars.items())
         }
         rest = shares[len(scalars) :]
@@ -183,7 +183,7 @@ class Variation(eqx.Module):
         values = rest[1 + number :]
         return Drawn(
             parameters={
-                name: _between(interval, values[i])
+                name: _interpolate(interval, values[i])
                 for i, (name, interval) in enumerate(self.parameters.items())
             },
             gain=self.gain[0] + (self.gain[1] - self.gain[0]) * rest[1 : 1 + number],
@@ -239,7 +239,7 @@ class Variation(eqx.Module):
         return queue[1:], queue[self.control_delay[1] - drawn.control_delay]
 
 
-def _between(interval: Float[Array, "2"], share: Scalar) -> Scalar:
+def _interpolate(interval: Float[Array, "2"], share: Scalar) -> Scalar:
     return interval[0] + (interval[1] - interval[0]) * share
 
 

@@ -66,7 +66,7 @@ class EpisodeTask(Task, abc.ABC):
         """Return the function that reads the map or path."""
         return {} if self.file is None else {self.file.content: self.file.read}
 
-    def located(self, folders: Mapping[str, Path]) -> Task:
+    def relocate(self, folders: Mapping[str, Path]) -> Task:
         """Return the task with the path of the copy of its map or path."""
         if self.file is None:
             return self
@@ -85,11 +85,11 @@ class EpisodeTask(Task, abc.ABC):
         try:
             return self.measure()
         except Exception as error:
-            return self.failed(self._with_user_path(one_line(error)))
+            return self.make_failure(self._with_user_path(one_line(error)))
 
     @abc.abstractmethod
     def measure(self) -> Any:
-        """Run the episodes and return their results; an exception is the reason of `failed`."""
+        """Run the episodes and return their results; an exception goes to `make_failure`."""
 
     def _with_user_path(self, reason: str) -> str:
         """Replace the path of the copy in an error message by that of the user's file."""

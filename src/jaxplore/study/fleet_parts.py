@@ -105,7 +105,7 @@ class _Part(Task):
         # All workers have recorded the same.
         return run.recording if self.number == 0 else None
 
-    def failed(self, reason: str) -> _Failure:
+    def make_failure(self, reason: str) -> _Failure:
         return _Failure(reason)
 
 
@@ -157,14 +157,12 @@ def simulate_in_parts(
     data = np.asarray(jax.random.key_data(key))
     with progress_bar("simulating", enabled=progress) as advance:
         advance(0.0, f"in {number} workers")
-        recording = _recorded(
-            (controller, fleet, num_steps), data, places, address, num_trajectories
-        )
+        recording = _record((controller, fleet, num_steps), data, places, address, num_trajectories)
     seed = int(data.reshape(-1)[-1])
     return Run(recording, recording.metrics(seed=seed))
 
 
-def _recorded(
+def _record(
     what: Any,
     key: np.ndarray,
     places: Sequence[tuple[int, ...]],

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxplore.maps.datum import ORIGIN, Datum, moved
+from jaxplore.maps.datum import ORIGIN, Datum, move_points
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.following.data import PathData
 from jaxplore.report.recording import Frame, Recording
@@ -65,7 +65,7 @@ class Display:
             self._datum = ORIGIN
             if isinstance(recording, (ExplorationData, PathData)):
                 self._datum = Datum.near(*recording.positions[0].tolist())
-            local = recording.moved(-self._datum.offset)
+            local = recording.move(-self._datum.offset)
             self._scene, self._frame = make_scene(self.server, local), None
             self._rollouts.offer(next(iter(recording.frames), None))
         self._list_layers(self._scene)
@@ -80,7 +80,7 @@ class Display:
             if isinstance(self._scene, PictureScene):
                 self._scene.recording = self.history.recording_at(frame)
             trail = self.history.trail if trail is None else trail
-            self._scene.draw(self._near(frame), moved(trail, -self._datum.offset))
+            self._scene.draw(self._to_view(frame), move_points(trail, -self._datum.offset))
             self._draw_rollouts()
             self._time.value = f"{frame.time:.2f} s"
             self._progress.value = plain(text)
@@ -88,12 +88,12 @@ class Display:
     def _draw_rollouts(self) -> None:
         frame: Any = self._frame
         if self._scene is not None and frame is not None and "rollouts" in self._scene.layers:
-            self._scene.rollouts(self._near(frame).samples, self._rollouts.colours(frame))
+            self._scene.rollouts(self._to_view(frame).samples, self._rollouts.colours(frame))
 
-    def _near(self, frame: Frame) -> Any:
+    def _to_view(self, frame: Frame) -> Any:
         """Return a frame relative to the datum of the view."""
         names = getattr(self.history.recording, "state_names", ()) if self.history else ()
-        return frame.moved(-self._datum.offset, names)
+        return frame.move(-self._datum.offset, names)
 
     def _recolour(self) -> None:
         """Draw the rollouts of the frame that is shown in the colours that a page has chosen."""

@@ -172,7 +172,7 @@ class LiveView(Monitor):
                 self._mail.text = f"{how} after {recording.time[-1]:.1f} s"
             self._news.notify()
 
-    def asked_seed(self) -> int | None:
+    def seed_request(self) -> int | None:
         """Return the seed with which a page has asked to start again; None if none has."""
         return self._seed
 

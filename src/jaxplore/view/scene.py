@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxplore.report.drawing.colours import MOVER, MOVER_EDGE
 from jaxplore.report.drawing.palette import PAPER, PLAN, ROBOT, TRAIL, Colour
-from jaxplore.view.shapes import prisms, raised, rounded, segments, turn
+from jaxplore.view.shapes import grow_outlines, prisms, raise_points, segments, turn
 
 if TYPE_CHECKING:
     import viser
@@ -163,7 +163,7 @@ class Scene(abc.ABC):
             back = front - 0.55 * length
             arrow = np.array([[0.85 * front, 0.0], [back, half], [back, -half]])
             faces = np.array([[0, 1, 2]], np.uint32)
-            self.mesh("robot/arrow", raised(arrow, 1.05 * top), faces, PAPER)
+            self.mesh("robot/arrow", raise_points(arrow, 1.05 * top), faces, PAPER)
         node = self._nodes["robot"]
         if np.isfinite(position).all():
             node.position = (float(position[0]), float(position[1]), 0.0)
@@ -191,7 +191,7 @@ class Scene(abc.ABC):
         """Draw moving obstacles: convex polygons (N, V, 2) grown by radii (N,) [m]."""
         if not len(corners):
             return
-        outlines = rounded(corners.astype(np.float64), np.asarray(radii, np.float64))
+        outlines = grow_outlines(corners.astype(np.float64), np.asarray(radii, np.float64))
         self.mesh(name, *prisms(outlines, 0.0, height), MOVER)
         rims = np.concatenate([outlines, outlines[:, :1]], axis=1)
         self.lines(f"{name}/rim", segments(rims, 1.02 * height), MOVER_EDGE, 3.0)
@@ -213,7 +213,7 @@ def linear_light(colours: np.ndarray) -> np.ndarray:
 
 
 def _disc(radius: float) -> np.ndarray:
-    return np.asarray(rounded(np.zeros((1, 1, 2)), np.array([radius]))[0])
+    return np.asarray(grow_outlines(np.zeros((1, 1, 2)), np.array([radius]))[0])
 
 
 def _counterclockwise(outline: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ BURIED = -1e4
 """Height at which a shape that is nowhere is put [m]."""
 
 
-def raised(points: np.ndarray, height: float) -> np.ndarray:
+def raise_points(points: np.ndarray, height: float) -> np.ndarray:
     """Append a height [m] to points (..., 2)."""
     level = np.full((*points.shape[:-1], 1), height)
     return np.concatenate([points, level], axis=-1).astype(np.float32)
@@ -22,13 +22,13 @@ def segments(lines: np.ndarray, height: float) -> np.ndarray:
     A segment with an end that is not finite becomes a point at the origin, below the ground, so
     that the number of segments stays the same.
     """
-    pieces = raised(np.stack([lines[:, :-1], lines[:, 1:]], axis=2), height).reshape(-1, 2, 3)
+    pieces = raise_points(np.stack([lines[:, :-1], lines[:, 1:]], axis=2), height).reshape(-1, 2, 3)
     is_lost = ~np.isfinite(pieces).all(axis=(1, 2))
     pieces[is_lost] = (0.0, 0.0, BURIED)
     return pieces
 
 
-def rounded(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
+def grow_outlines(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """Return outlines (N, 24, 2) of convex polygons (N, V, 2) that are grown by radii (N,) [m].
 
     A polygon of one corner becomes a disc. Points of a polygon that is not finite are NaN.
@@ -46,7 +46,7 @@ def prisms(outlines: np.ndarray, bottom: float, top: float) -> tuple[np.ndarray,
     only. Prisms whose outline is not finite are put deep below the ground.
     """
     number, sides = outlines.shape[:2]
-    vertices = np.stack([raised(outlines, bottom), raised(outlines, top)], axis=1)
+    vertices = np.stack([raise_points(outlines, bottom), raise_points(outlines, top)], axis=1)
     is_lost = ~np.isfinite(vertices).all(axis=(1, 2, 3))
     vertices[is_lost] = (0.0, 0.0, BURIED)
     here = np.arange(sides)
@@ -72,7 +72,7 @@ def strip(left: np.ndarray, right: np.ndarray, height: float) -> tuple[np.ndarra
             np.stack([here + 1, here + count, here + count + 1], axis=-1),
         ]
     )
-    return raised(np.concatenate([left, right]), height), faces.astype(np.uint32)
+    return raise_points(np.concatenate([left, right]), height), faces.astype(np.uint32)
 
 
 def turn(heading: float) -> tuple[float, float, float, float]:

@@ -46,7 +46,7 @@ class VolumeScene(Scene):
     def _draw_voxels(self, frame: VolumeFrame) -> None:
         self._drawn = np.array(frame.voxels)
         side = self._recording.resolution
-        voxels = surface(frame.occupied(self._recording.world.shape))
+        voxels = surface(frame.find_occupied(self._recording.world.shape))
         points = self._low + (voxels[:, ::-1] + 0.5) * side
         if "voxels" in self._nodes:
             self._nodes.pop("voxels").remove()

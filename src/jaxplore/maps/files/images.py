@@ -57,7 +57,7 @@ def image_size(path: Path) -> tuple[int, int]:
 
     It raises as `read_greys`.
     """
-    return _opened(path, lambda image: (image.height, image.width))
+    return _open_image(path, lambda image: (image.height, image.width))
 
 
 def read_greys(path: Path, *, alpha_is_shade: bool = False, is_luma: bool = False) -> Greys:
@@ -72,10 +72,10 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False, is_luma: bool = Fals
         ValueError: a file that is missing, malformed, of another format or too large; one line
             that names it.
     """
-    return _opened(path, lambda image: _levels(image, alpha_is_shade, is_luma))
+    return _open_image(path, lambda image: _levels(image, alpha_is_shade, is_luma))
 
 
-def _opened[T](path: Path, read: Callable[["ImageFile.ImageFile"], T]) -> T:
+def _open_image[T](path: Path, read: Callable[["ImageFile.ImageFile"], T]) -> T:
     """Open an image, check its format and size, and return what a function makes of it."""
     from PIL import Image  # slow to import, and few need it
 
@@ -168,7 +168,7 @@ def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool, is_luma: bool) -
     # Pillow cannot convert 16-bit images without losing bits: read them as they are.
     if image.mode in ("I", "I;16"):
         grey = np.asarray(image)
-        levels = _unscaled(65535, maxval)[grey]
+        levels = _unscale(65535, maxval)[grey]
         opaque = None if clear is None else grey != clear
         if is_luma:
             # Half a level is rounded up, as by ImageMagick.
@@ -189,7 +189,7 @@ def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool, is_luma: bool) -
     if is_luma:
         opaque = channels[..., -1] == 255 if has_alpha else None
         return Greys(colour[..., 0] if weight == 3 else _luma(colour), 255, opaque)
-    level = weight * _unscaled(255, maxval)[colour].sum(axis=-1, dtype=np.uint16)
+    level = weight * _unscale(255, maxval)[colour].sum(axis=-1, dtype=np.uint16)
     full = 3 * (maxval or 255)
     if not has_alpha:
         return Greys(level, full, None)
@@ -217,7 +217,7 @@ def _portable_maxval(image: "ImageFile.ImageFile") -> int | None:
     return None
 
 
-def _unscaled(full: int, maxval: int | None) -> NDArray[np.uint16]:
+def _unscale(full: int, maxval: int | None) -> NDArray[np.uint16]:
     # Pillow rounds value / maxval to 8 bits, which can move a cell across a threshold. The rounding
     # never merges two values, so this table undoes it.
     return np.rint(np.arange(full + 1) * ((maxval or full) / full)).astype(np.uint16)

@@ -21,7 +21,7 @@ from jaxplore.maps.files.mesh_process import KINDS, Geometry, read_geometry
 from jaxplore.maps.files.npz import MALFORMED_NPZ, read_array, read_arrays
 from jaxplore.maps.files.octomap_file import OctoMap
 from jaxplore.maps.files.placing import AXES, place
-from jaxplore.maps.files.voxelise import TOLERANCE, touched_voxels
+from jaxplore.maps.files.voxelise import TOLERANCE, find_touched_voxels
 from jaxplore.maps.voxel_grid import VoxelGrid
 
 FILE_LIMIT = 500_000_000
@@ -227,7 +227,7 @@ def _geometry_volume(
             f"has a surface of {surface:.3g} voxels of {side:g} m",
             f"at most {_MOST_SURFACE:.3g}: a greater resolution",
         )
-    return VolumeFile(shape, side, low, lambda: touched_voxels(points, faces, shape), name)
+    return VolumeFile(shape, side, low, lambda: find_touched_voxels(points, faces, shape), name)
 
 
 def _area(corners: Points, faces: NDArray[np.int32]) -> float:

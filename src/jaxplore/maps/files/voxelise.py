@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 
 
-def touched_voxels(
+def find_touched_voxels(
     corners: Floats, faces: NDArray[np.integer], shape: tuple[int, int, int]
 ) -> NDArray[np.bool_]:
     """Return the voxels (D, H, W) that the triangles of a mesh touch.

@@ -159,7 +159,7 @@ def _path(name: str, value: object) -> tuple[Row, ...]:
     return path
 
 
-def _made[T](name: str, value: object, kind: type[T], keys: Collection[str]) -> tuple[T, ...]:
+def _make_all[T](name: str, value: object, kind: type[T], keys: Collection[str]) -> tuple[T, ...]:
     """Check a list of mappings, or of what is made of them, and return it made."""
     if not isinstance(value, (list, tuple)):
         raise ValueError(
@@ -179,7 +179,7 @@ def _one[T](name: str, value: object, kind: type[T], keys: Collection[str]) -> T
         if key not in value:
             raise ValueError(f"{name}.{key} is missing; {accepted}")
     try:
-        return kind(**checked(value, keys))
+        return kind(**check_entries(value, keys))
     except ValueError as error:
         raise ValueError(f"{name}.{error}") from None
 
@@ -204,8 +204,8 @@ CHECKS: Mapping[str, Callable[[str, object], Any]] = {
     "goal": _goal,
     "hills": _hills,
     "targets": _points,
-    "movers": lambda name, value: _made(name, value, MovingObstacle, MOVER_ENTRIES),
-    "objects": lambda name, value: _made(name, value, LabelledObject, OBJECT_ENTRIES),
+    "movers": lambda name, value: _make_all(name, value, MovingObstacle, MOVER_ENTRIES),
+    "objects": lambda name, value: _make_all(name, value, LabelledObject, OBJECT_ENTRIES),
     "position": lambda name, value: _numbers(name, value, (2,), "2 finite numbers [x, y]"),
     "label": _label,
     "path": _path,
@@ -214,7 +214,7 @@ CHECKS: Mapping[str, Callable[[str, object], Any]] = {
 }
 
 
-def checked(entries: Mapping[Any, Any], names: Collection[str]) -> dict[str, Any]:
+def check_entries(entries: Mapping[Any, Any], names: Collection[str]) -> dict[str, Any]:
     """Return the checked values of those entries that are among `names`."""
     return {name: CHECKS[name](name, entries[name]) for name in names if name in entries}
 

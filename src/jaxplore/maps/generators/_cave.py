@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.maps.generators._clutter import Mask, between, wall_cells, widest_part
+from jaxplore.maps.generators._clutter import Mask, interpolate, wall_cells, widest_part
 
 _LATTICE = 0.25
 """Node spacing of the noise [m]; it is fixed so that a seed gives one cave at any resolution."""
@@ -17,14 +17,14 @@ def cave(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution
     """Carve a cave where smooth noise exceeds a level, with passages as wide as the robot needs."""
     from scipy import ndimage  # slow to import, and few need it
 
-    rise = _noise(rng, occupied.shape, between(1.3, 0.7, difficulty), resolution)
+    rise = _noise(rng, occupied.shape, interpolate(1.3, 0.7, difficulty), resolution)
     wall = wall_cells(resolution)
     inner = np.pad(np.ones(np.subtract(occupied.shape, 2 * wall), bool), wall)
     # Lower the noise towards the edge of the map, so that the cave does not end in straight walls.
     rim = ndimage.distance_transform_edt(inner) * resolution
     rise -= 2.5 * np.exp(-rim / 0.9)
-    radius = between(0.75, 0.45, difficulty)
-    wanted = between(0.6, 0.45, difficulty) * occupied.size
+    radius = interpolate(0.75, 0.45, difficulty)
+    wanted = interpolate(0.6, 0.45, difficulty) * occupied.size
     # Bisect for the least share of open noise whose connected part has the wanted area.
     low, high = 0.3, 0.95
     best, was_enough = np.zeros_like(occupied), False

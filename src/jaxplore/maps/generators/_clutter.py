@@ -14,7 +14,7 @@ DOOR_CLEARANCE = 0.9
 """Distance from a door within which no furniture stands [m]."""
 
 
-def between(easy: float, hard: float, difficulty: float) -> float:
+def interpolate(easy: float, hard: float, difficulty: float) -> float:
     """Interpolate linearly from `easy` at difficulty 0 to `hard` at difficulty 1."""
     return easy + (hard - easy) * difficulty
 

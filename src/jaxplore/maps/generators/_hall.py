@@ -7,9 +7,9 @@ import numpy as np
 from jaxplore.maps.generators._clutter import (
     Clutter,
     Mask,
-    between,
     block,
     disc,
+    interpolate,
     wall_cells,
     widest_part,
 )
@@ -17,8 +17,8 @@ from jaxplore.maps.generators._clutter import (
 
 def hall(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
     """Place discs, boxes and short walls in a hall."""
-    passage = between(1.6, 0.85, difficulty)
-    longest = between(2.0, 4.0, difficulty)
+    passage = interpolate(1.6, 0.85, difficulty)
+    longest = interpolate(2.0, 4.0, difficulty)
     # Short walls touch the outer wall, so they keep apart from each other only.
     stubs = Clutter(occupied, passage, resolution, is_apart=False)
     count = rng.binomial(math.ceil(sum(occupied.shape) * resolution / 2.5), 0.2 + 0.4 * difficulty)
@@ -37,7 +37,7 @@ def hall(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution
         return block(rng.uniform(1.2, longest), 0.2, yaw, resolution)
 
     pieces = Clutter(occupied, passage, resolution, is_apart=True)
-    pieces.scatter(rng, draw, between(0.03, 0.2, difficulty))
+    pieces.scatter(rng, draw, interpolate(0.03, 0.2, difficulty))
 
 
 def _put_at_wall(rng: np.random.Generator, clutter: Clutter, piece: Mask) -> None:
@@ -68,13 +68,15 @@ def open_ground(
     for wave, shift, high in zip(waves, phase, size, strict=True):
         bumps += high / math.sqrt(wave) * np.cos(wave * angle + shift)
     bumps = (bumps - bumps.min()) / (bumps.max() - bumps.min())
-    depth = between(0.15, 0.45, difficulty)
+    depth = interpolate(0.15, 0.45, difficulty)
     # A superellipse, between an ellipse and a rectangle, pressed in at the bumps.
     inside = (x**4 + y**4) ** 0.25 <= 1.0 - depth * bumps
     inside[:wall] = inside[-wall:] = False
     inside[:, :wall] = inside[:, -wall:] = False
-    occupied[:] = ~widest_part(inside, between(0.8, 0.5, difficulty), resolution)
-    pillars = Clutter(occupied, between(2.0, 1.0, difficulty), resolution, is_apart=True)
+    occupied[:] = ~widest_part(inside, interpolate(0.8, 0.5, difficulty), resolution)
+    pillars = Clutter(occupied, interpolate(2.0, 1.0, difficulty), resolution, is_apart=True)
     pillars.scatter(
-        rng, lambda rng: disc(rng.uniform(0.3, 0.8), resolution), between(0.003, 0.02, difficulty)
+        rng,
+        lambda rng: disc(rng.uniform(0.3, 0.8), resolution),
+        interpolate(0.003, 0.02, difficulty),
     )

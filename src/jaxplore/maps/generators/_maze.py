@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from jaxplore.maps.generators._clutter import Mask, between, passage_cells, wall_cells
+from jaxplore.maps.generators._clutter import Mask, interpolate, passage_cells, wall_cells
 
 Place = tuple[int, int]
 """Row and column of a square of the maze."""
@@ -17,7 +17,7 @@ _NEWEST = 0.75
 def maze(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
     """Carve corridors along a random spanning tree, and open some dead ends."""
     wall = wall_cells(resolution)
-    breadth = _corridor_cells(between(2.0, 1.2, difficulty), resolution)
+    breadth = _corridor_cells(interpolate(2.0, 1.2, difficulty), resolution)
     rows, columns = (_tracks(extent, wall, breadth) for extent in occupied.shape)
     shape = len(rows), len(columns)
     ways = _tree(rng, shape)

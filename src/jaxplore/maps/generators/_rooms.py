@@ -8,8 +8,8 @@ from jaxplore.maps.generators._clutter import (
     DOOR_CLEARANCE,
     Clutter,
     Mask,
-    between,
     block,
+    interpolate,
     passage_cells,
     wall_cells,
 )
@@ -27,18 +27,18 @@ def rooms(rng: np.random.Generator, occupied: Mask, difficulty: float, resolutio
     occupied[:] = True
     for bottom, top, left, right in boxes:
         occupied[bottom:top, left:right] = False
-    clutter = Clutter(occupied, between(1.3, 0.8, difficulty), resolution, is_apart=False)
+    clutter = Clutter(occupied, interpolate(1.3, 0.8, difficulty), resolution, is_apart=False)
     _cut_doors(rng, clutter, boxes, wall, difficulty)
     for box in boxes:
-        _furnish(rng, clutter, box, between(0.03, 0.18, difficulty))
+        _furnish(rng, clutter, box, interpolate(0.03, 0.18, difficulty))
 
 
 def _divide(
     rng: np.random.Generator, floor: Box, wall: int, difficulty: float, resolution: float
 ) -> list[Box]:
     """Divide a floor into rooms by recursive random cuts."""
-    shortest = math.ceil(between(3.2, 2.4, difficulty) / resolution)
-    small, large = (between(*areas, difficulty) for areas in ((18.0, 9.0), (45.0, 22.0)))
+    shortest = math.ceil(interpolate(3.2, 2.4, difficulty) / resolution)
+    small, large = (interpolate(*areas, difficulty) for areas in ((18.0, 9.0), (45.0, 22.0)))
     undivided, rooms = [floor], []
     while undivided:
         box = undivided.pop()
@@ -66,7 +66,7 @@ def _cut_doors(
     resolution = clutter.resolution
     jamb = math.ceil(_JAMB / resolution)
     reach = max(clutter.passage, math.ceil(DOOR_CLEARANCE / resolution))
-    door = passage_cells(between(1.2, 0.9, difficulty), resolution)
+    door = passage_cells(interpolate(1.2, 0.9, difficulty), resolution)
     neighbours = []
     for first, a in enumerate(boxes):
         for second, b in enumerate(boxes):
@@ -83,7 +83,7 @@ def _cut_doors(
     for index in rng.permutation(len(neighbours)):
         first, second, across, low, high = neighbours[index]
         is_loop = group[first] == group[second]
-        if is_loop and rng.random() > between(0.6, 0.05, difficulty):
+        if is_loop and rng.random() > interpolate(0.6, 0.05, difficulty):
             continue
         group[group == group[second]] = group[first]
         start = int(rng.integers(low, high - door + 1))

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from jaxplore.maps.generators._clutter import Clutter, Mask, between, block, wall_cells
+from jaxplore.maps.generators._clutter import Clutter, Mask, block, interpolate, wall_cells
 
 _SHELF = 1.0
 """Depth of a row of shelves [m]."""
@@ -25,8 +25,8 @@ def warehouse(
     height, width = occupied.shape
     wall = wall_cells(resolution)
     shelf = math.ceil(_SHELF / resolution)
-    aisle = math.ceil(between(2.2, 1.7, difficulty) / resolution)
-    cross = math.ceil(between(2.6, 1.8, difficulty) / resolution)
+    aisle = math.ceil(interpolate(2.2, 1.7, difficulty) / resolution)
+    cross = math.ceil(interpolate(2.6, 1.8, difficulty) / resolution)
 
     # Distribute the remaining height evenly over the aisles, of which there is one more than rows.
     count = max(1, (height - 2 * wall - aisle) // (shelf + aisle))
@@ -43,8 +43,8 @@ def warehouse(
     is_left_wall = rng.random() < 0.5
     ends = [low for low, _ in spans] + [width - wall]
     for row in rows:
-        is_missing = rng.random(blocks) < between(0.1, 0.0, difficulty)
-        is_joined = rng.random(blocks + 1) < between(0.0, 0.5, difficulty)
+        is_missing = rng.random(blocks) < interpolate(0.1, 0.0, difficulty)
+        is_joined = rng.random(blocks + 1) < interpolate(0.0, 0.5, difficulty)
         for index, (low, high) in enumerate(spans):
             if not is_missing[index]:
                 occupied[row : row + shelf, low:high] = True
@@ -56,7 +56,7 @@ def warehouse(
 
     clutter = Clutter(occupied, 0.8, resolution, is_apart=False)
     pallet = block(*_PALLET, 0.0, resolution)
-    share = between(0.05, 0.6, difficulty)
+    share = interpolate(0.05, 0.6, difficulty)
     lows = [wall] + [row + shelf for row in rows]
     highs = [*rows, height - wall]
     for low, high in zip(lows, highs, strict=True):

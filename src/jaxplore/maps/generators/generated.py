@@ -11,9 +11,9 @@ from jaxplore.maps.generators._clutter import (
     ROBOT_RADIUS,
     Clutter,
     Mask,
-    between,
     block,
     clearance_cells,
+    interpolate,
     wall_cells,
 )
 from jaxplore.maps.generators._hall import hall, open_ground
@@ -138,7 +138,7 @@ def _add_crates(
             rng.uniform(0.3, 0.9), rng.uniform(0.3, 0.5), rng.uniform(0.0, math.pi), resolution
         )
 
-    crates = Clutter(occupied, between(1.0, 0.8, difficulty), resolution, is_apart=True)
+    crates = Clutter(occupied, interpolate(1.0, 0.8, difficulty), resolution, is_apart=True)
     crates.scatter(rng, draw, 0.016 * difficulty)
 
 

@@ -197,7 +197,7 @@ def _cut_doors(
     narrow = math.ceil(0.9 / resolution - 1e-9)
     broad = max(narrow, math.floor(1.1 / resolution + 1e-9))
 
-    def opening(low: int, high: int) -> slice:
+    def choose_opening(low: int, high: int) -> slice:
         size = int(rng.integers(narrow, broad + 1))
         start = int(rng.integers(low + margin, max(low + margin, high - margin - size) + 1))
         return slice(start, start + size)
@@ -208,9 +208,9 @@ def _cut_doors(
         keep_clear[grown[0], grown[1]] = True
 
     for index, (low, high, left, right) in enumerate(rooms):
-        cut(inner, opening(left, right))
+        cut(inner, choose_opening(left, right))
         if index + 1 < len(rooms) and rng.random() < 0.35:
-            cut(opening(low, high), slice(right, rooms[index + 1][2]))
+            cut(choose_opening(low, high), slice(right, rooms[index + 1][2]))
     return keep_clear
 
 

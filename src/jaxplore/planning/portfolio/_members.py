@@ -35,7 +35,7 @@ def stack_costs(name: str, costs: Sequence[Cost], number: int) -> Cost:
     return stack_trees(given)
 
 
-def normalised_weights(
+def normalise_weights(
     weights: Rows | Mapping[str, Mapping[str, float]],
     names: Sequence[str] | None,
     objectives: tuple[str, ...],
@@ -77,7 +77,7 @@ def normalised_weights(
             )
     count = given.shape[0]
     if names is not None and not isinstance(names, (list, tuple)):
-        text = _kinds.described(names)
+        text = _kinds.describe(names)
         raise ValueError(f"names is {text}; accepted: {count} different names")
     labels = tuple(str(index + 1) for index in range(count)) if names is None else tuple(names)
     if len(labels) != count or len(set(labels)) != count:
@@ -109,7 +109,7 @@ def positive_each(name: str, value: Vector | None, number: int) -> Float[Array, 
 def check_objectives(objectives: object) -> None:
     """Raise a `ValueError` unless `objectives` maps names to costs, or to one for each member."""
     if not isinstance(objectives, Mapping):
-        given = _kinds.described(objectives)
+        given = _kinds.describe(objectives)
         raise ValueError(f"objectives is {given}; accepted: costs by the name of the objective")
     for name, cost in objectives.items():
         each = cost if isinstance(cost, (list, tuple)) else [cost]

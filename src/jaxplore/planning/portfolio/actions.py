@@ -47,7 +47,7 @@ def fuse_actions(
     given = array("actions", actions, ("N", "nu"))
     number = given.shape[0]
     # Not `array`: a cost that is not finite keeps its action out.
-    paid = jnp.asarray(_checks.shaped("costs", costs, (number,)), jnp.float32)
+    paid = jnp.asarray(_checks.of_shape("costs", costs, (number,)), jnp.float32)
     _kinds.instance("fusion", fusion, Fusion, str)
     _kinds.instance("situation", situation, Situation, may_be_none=True)
     rule = fusion_by_name(fusion) if isinstance(fusion, str) else fusion
@@ -62,7 +62,9 @@ def fuse_actions(
         raise ValueError(f"uncertainties is None; accepted: {number} numbers, for trust-weighted")
     spread = jnp.zeros(number)
     if uncertainties is not None:
-        spread = jnp.asarray(_checks.shaped("uncertainties", uncertainties, (number,)), jnp.float32)
+        spread = jnp.asarray(
+            _checks.of_shape("uncertainties", uncertainties, (number,)), jnp.float32
+        )
     if situation is None:
         if isinstance(rule, (SafeFusion, Contextual, InformationDensity)):
             raise ValueError(f"situation is None; accepted: a Situation, for {type(rule).__name__}")

@@ -52,7 +52,7 @@ class CommonObjective(eqx.Module):
     def trajectory(self, controls: Float[Array, "T nu"], dt: Scalar) -> Trajectory:
         """Simulate a plan with steps of `dt` [s] and return its trajectory and the cost by term."""
         terms = tuple(
-            WeightedCost(factor, cost.named(name))
+            WeightedCost(factor, cost.with_name(name))
             for factor, (name, cost) in zip(self.factors, self.objectives.items(), strict=True)
         )
         return rollout(

@@ -89,7 +89,7 @@ class Contextual(Fusion):
         hysteresis: ArrayLike = 0.2,
     ) -> None:
         if not isinstance(names, (list, tuple)):
-            given = _kinds.described(names)
+            given = _kinds.describe(names)
             raise ValueError(f"names is {given}; accepted: the names of the members")
         self.names = tuple(names)
         self.members = _members(self.names, roles)
@@ -189,7 +189,7 @@ def _members(names: tuple[str, ...], roles: Mapping[str, str] | None) -> tuple[i
         return tuple(names.index(role) for role in ROLES)
     if not isinstance(roles, Mapping) or "balanced" not in roles:
         raise ValueError(
-            f"roles is {_kinds.described(roles)}; accepted: members by role, with 'balanced' for "
+            f"roles is {_kinds.describe(roles)}; accepted: members by role, with 'balanced' for "
             "where no rule holds"
         )
     for role, name in roles.items():
@@ -206,7 +206,7 @@ def _rules(
     """Return rules of one's own and the index of the member of each."""
     given = {} if rules is None else rules
     if not isinstance(given, Mapping):
-        raise ValueError(f"rules is {_kinds.described(rules)}; accepted: rules by member")
+        raise ValueError(f"rules is {_kinds.describe(rules)}; accepted: rules by member")
     for name, rule in given.items():
         if name not in names:
             raise ValueError(f"rules has {name!r}; accepted: {', '.join(names)}")

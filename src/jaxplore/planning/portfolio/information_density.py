@@ -69,11 +69,13 @@ class InformationDensity(Fusion):
         field: InformationField = part(situation.belief, "information")
         model = state.dynamics
 
-        def seen(values: StateVector) -> Scalar:
+        def information_at(values: StateVector) -> Scalar:
             return field(model.position(values), model.heading(values)) / field.num_beams
 
         def density(controls: Float[Array, "T nu"]) -> Scalar:
-            return jnp.mean(jax.vmap(seen)(rollout_states(model, state.values, controls, dt)))
+            return jnp.mean(
+                jax.vmap(information_at)(rollout_states(model, state.values, controls, dt))
+            )
 
         found: Array = jax.vmap(density)(candidates.controls)
         return found

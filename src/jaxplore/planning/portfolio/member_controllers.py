@@ -19,7 +19,7 @@ from jaxplore.control.rollout import rollout_objectives
 from jaxplore.control.weighting import Softmax
 from jaxplore.costs.base import Cost
 from jaxplore.planning.portfolio._members import (
-    normalised_weights,
+    normalise_weights,
     positive_each,
     stack_costs,
     values_in_order,
@@ -86,7 +86,7 @@ class MemberControllers(eqx.Module):
                 )
         self.mppi = mppi
         self.objective_names = tuple(objectives)
-        self.weights, self.names = normalised_weights(weights, names, self.objective_names)
+        self.weights, self.names = normalise_weights(weights, names, self.objective_names)
         number = len(self.names)
         # Objectives that differ are stacked and mapped with the members; the others are not copied.
         self.shared = tuple(
@@ -141,7 +141,7 @@ class MemberControllers(eqx.Module):
     def objectives(self, index: int) -> tuple[Cost, ...]:
         """Return the objectives of one member, in the order of their names."""
         own = jax.tree.map(lambda leaves: leaves[index], self.own)
-        return _merged(self.shared, own)
+        return _merge(self.shared, own)
 
     def plan(
         self,
@@ -165,7 +165,7 @@ class MemberControllers(eqx.Module):
             sampled = member.sample(member_state, key=key)
             paid = rollout_objectives(
                 member.dynamics,
-                (member.cost, *_merged(self.shared, own)),
+                (member.cost, *_merge(self.shared, own)),
                 observation,
                 sampled.controls,
                 member.dt,
@@ -173,9 +173,7 @@ class MemberControllers(eqx.Module):
                 applied=member_state.applied,
             )
             hard, values = paid[0], paid[1:]
-            now = self.normalisation.updated(
-                spread, values, hard, self.mppi.control_period, MEMBERS
-            )
+            now = self.normalisation.update(spread, values, hard, self.mppi.control_period, MEMBERS)
             values = values / self.normalisation.scale(now)[:, None]
             # An objective without weight may be infinite or NaN, and 0 times that is NaN.
             values = jnp.where(weights[:, None] > 0.0, values, 0.0)
@@ -208,13 +206,13 @@ class MemberControllers(eqx.Module):
         default = jnp.broadcast_to(self.mppi.dynamics.default_control, controls.shape[2:])
         begin = dt * jnp.arange(horizon, dtype=jnp.float32)
 
-        def held(plan: Array, length: Array) -> Array:
+        def hold(plan: Array, length: Array) -> Array:
             # Rounding may put a step that begins with one of the member's just before it.
             row = jnp.floor(begin * (horizon / length) + 1e-3).astype(jnp.int32)
             is_planned = (row < horizon)[:, None]
             return jnp.where(is_planned, plan[jnp.minimum(row, horizon - 1)], default)
 
-        return jax.vmap(held)(controls, self.horizons)
+        return jax.vmap(hold)(controls, self.horizons)
 
     @property
     def half_range(self) -> ControlVector:
@@ -228,7 +226,7 @@ class MemberControllers(eqx.Module):
         return jnp.arange(len(self.names))
 
 
-def _merged(shared: tuple[Cost | None, ...], own: tuple[Cost | None, ...]) -> tuple[Cost, ...]:
+def _merge(shared: tuple[Cost | None, ...], own: tuple[Cost | None, ...]) -> tuple[Cost, ...]:
     """Return for each objective the shared cost, or the member's own where there is none."""
     pairs = zip(shared, own, strict=True)
     return tuple(one if one is not None else other for one, other in pairs)  # type: ignore[misc]

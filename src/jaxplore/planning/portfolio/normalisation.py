@@ -28,7 +28,7 @@ class Normalisation(eqx.Module):
         """Return the divisors (O,) of objectives with this spread (O,)."""
         return jnp.maximum(spread, self.floors) if self.is_on else jnp.ones_like(spread)
 
-    def updated(
+    def update(
         self,
         spread: Float[Array, " O"],
         values: Float[Array, "O K"],

@@ -13,15 +13,15 @@ from jaxtyping import Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
-from jaxplore.control.inspection import shown_samples
-from jaxplore.control.model_checks import checked_call
+from jaxplore.control.inspection import choose_samples
+from jaxplore.control.model_checks import check_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
 from jaxplore.planning.portfolio._members import (
     check_objectives,
-    normalised_weights,
+    normalise_weights,
     values_in_order,
 )
 from jaxplore.planning.portfolio.common_objective import CommonObjective
@@ -180,7 +180,7 @@ class Portfolio(Controller):
         member = self.members.member(index)
         factors = self.members.weights[index] / scale
         terms = tuple(
-            WeightedCost(factors[number], cost.named(label))
+            WeightedCost(factors[number], cost.with_name(label))
             for number, (label, cost) in enumerate(
                 zip(self.objective_names, self.members.objectives(index), strict=True)
             )
@@ -209,7 +209,7 @@ class Portfolio(Controller):
             The control (nu,), the new state, and `Info` with the diagnostics of each member.
         """
         model = self.members.mppi.dynamics
-        observation = checked_call(model, state, PortfolioState, observation, key)
+        observation = check_call(model, state, PortfolioState, observation, key)
         plans, spread = self.members.plan(state.members, state.spread, observation, belief, key=key)
         candidates, fused, memory = self._fuse(state, plans, spread, observation, belief)
         control = fused.controls[0]
@@ -233,20 +233,20 @@ class Portfolio(Controller):
         `Controller.inspect` for the arguments.
         """
         model = self.members.mppi.dynamics
-        observation = checked_call(model, state, PortfolioState, observation, key)
+        observation = check_call(model, state, PortfolioState, observation, key)
         wanted = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
         plans, spread = self.members.plan(state.members, state.spread, observation, belief, key=key)
         candidates, fused, _ = self._fuse(state, plans, spread, observation, belief)
         each = max(1, wanted // len(self.member_names))
-        chosen = shown_samples(self.members.mppi.num_samples, each)
+        chosen = choose_samples(self.members.mppi.num_samples, each)
         objective = self._common_objective(state, spread, observation, belief)
 
-        def drawn(index: Array, member_state: MPPIState) -> tuple[Array, Array]:
+        def draw(index: Array, member_state: MPPIState) -> tuple[Array, Array]:
             member = self.members.member(index)
             controls = member.sample(member_state, key=key).controls[:, :, chosen]
             return jnp.moveaxis(controls, -1, 0), jnp.broadcast_to(member.dt, chosen.shape)
 
-        sampled, steps = jax.vmap(drawn)(self.members.indices, state.members)
+        sampled, steps = jax.vmap(draw)(self.members.indices, state.members)
         best = least_finite(candidates.costs)
         shown = jnp.stack([fused.controls, candidates.controls[best]])
         # All are simulated under the common objective, the samples with the steps of their member.
@@ -331,7 +331,7 @@ class Portfolio(Controller):
             # Without a shared objective the weights stay 0, and plans compare by J_hard alone.
             mean = self.members.weights.mean(axis=0) * is_shared
             return mean / jnp.maximum(jnp.sum(mean), 1e-6)
-        given, _ = normalised_weights(
+        given, _ = normalise_weights(
             [values_in_order(common, self.objective_names)], None, self.objective_names, "common"
         )
         if (np.asarray(given[0]) * (1.0 - is_shared) > 0.0).any():

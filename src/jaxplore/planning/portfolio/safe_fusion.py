@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
-from jaxplore._spelling import spelled
+from jaxplore._spelling import match_spelling
 from jaxplore._types import ArrayLike, Count, Scalar
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import (
@@ -131,8 +131,8 @@ def fusion_by_name(name: str) -> Fusion:
     Raises:
         ValueError: a name that is not in `FUSIONS`.
     """
-    known = spelled(name, FUSIONS)
+    known = match_spelling(name, FUSIONS)
     if not isinstance(known, str) or known not in FUSIONS:
-        given = _kinds.described(name)
+        given = _kinds.describe(name)
         raise ValueError(f"name of the fusion is {given}; accepted: {', '.join(FUSIONS)}")
     return FUSIONS[known]()

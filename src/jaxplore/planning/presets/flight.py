@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxplore._types import ArrayLike, Vector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.noise import Noise
 from jaxplore.control.parameterisations import Parameterisation
@@ -108,7 +108,7 @@ class Flight(NamedTuple):
             share = np.full(robot.control_size, 0.03, np.float32)
             share[0] = 0.05
             bounds = robot.control_min, robot.control_max
-            std = computed(lambda _, share, low, high: share * (high - low), share, *bounds)
+            std = compute(lambda _, share, low, high: share * (high - low), share, *bounds)
         else:
             std = self.noise_std
         return sampling(

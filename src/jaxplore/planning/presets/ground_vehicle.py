@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_STEPS_AHEAD
 from jaxplore._types import ArrayLike, Vector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.noise import Noise
 from jaxplore.control.parameterisations import Parameterisation
@@ -201,7 +201,7 @@ def ground_portfolio(
     is_guided = mission.goal is not None or not all(row.get("goal") for row in weights.values())
     terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance, is_guided=is_guided)}
     steps = _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
-    length = computed(lambda _, dt: dt * steps, _checks.scalar("dt", dt, above=0.0))
+    length = compute(lambda _, dt: dt * steps, _checks.scalar("dt", dt, above=0.0))
     if decomposition == "temporal":
         horizons = jnp.stack([HORIZONS[name] * length for name in weights])
     elif decomposition == "regional":
@@ -211,7 +211,7 @@ def ground_portfolio(
         # Members with weights of their own may have none of the exploiter's objectives. Effort
         # alone could not tell which plan is better.
         weighed = {name for row in weights.values() for name, weight in row.items() if weight > 0.0}
-        wanted = {"effort": effort, **_fitted(ROLE_WEIGHTS["exploiter"], mission)}
+        wanted = {"effort": effort, **_fit(ROLE_WEIGHTS["exploiter"], mission)}
         wanted = {name: weight for name, weight in wanted.items() if name in weighed}
         common = wanted if wanted.keys() - {"effort"} else None
     if fusion == "contextual":
@@ -256,7 +256,7 @@ def _template(
     """Build the MPPI controller of which the members are copies."""
     sizes: dict[str, Any] = {"horizon": horizon, "num_samples": num_samples, "dt": dt}
     share = _checks.scalar("noise_share", noise_share, above=0.0)
-    std = computed(lambda _, *each: each[0] * each[1], share, robot.control_half_range)
+    std = compute(lambda _, *each: each[0] * each[1], share, robot.control_half_range)
     # No likelihood ratio: over tens of steps it would reduce the effective sample size to about
     # one in a thousand.
     return MPPI(robot, cost, **sizes, **sampling(std, **sizes, **numbers)._asdict())
@@ -293,19 +293,19 @@ def _weights(
         return {name: {"effort": effort, **row} for name, row in members.items()}
     rows = known[decomposition]
     if members is not None and not isinstance(members, (list, tuple)):
-        text = _kinds.described(members)
+        text = _kinds.describe(members)
         raise ValueError(f"members is {text}; accepted: some of {', '.join(rows)}")
     chosen = tuple(rows) if members is None else tuple(members)
     if not chosen:
         raise ValueError(f"members is {members!r}; accepted: at least one of {', '.join(rows)}")
     for name in chosen:
         if name not in rows:
-            text = _kinds.described(name)
+            text = _kinds.describe(name)
             raise ValueError(f"members has {text}; accepted: {', '.join(rows)}")
-    return {name: {"effort": effort, **_fitted(rows[name], mission)} for name in chosen}
+    return {name: {"effort": effort, **_fit(rows[name], mission)} for name in chosen}
 
 
-def _fitted(row: Mapping[str, float], mission: Mission) -> dict[str, float]:
+def _fit(row: Mapping[str, float], mission: Mission) -> dict[str, float]:
     """Adapt the weights of a role to a mission; moving obstacles weigh as much as static ones."""
     fitted = dict(row)
     if not mission.has_terrain:

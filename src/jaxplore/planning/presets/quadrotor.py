@@ -4,9 +4,9 @@ from typing import Any
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_STEPS_AHEAD
-from jaxplore._spelling import spelled
+from jaxplore._spelling import match_spelling
 from jaxplore._types import ArrayLike, Vector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.roadmap import TurnsOnTheSpot
 from jaxplore.belief.zones import Zones
@@ -117,7 +117,7 @@ def informative_mppi(
     _kinds.instance("target_choice", target_choice, TargetChoice, may_be_none=True)
     _kinds.flag("goal_when_explored", goal_when_explored)
     _kinds.flag("likelihood_ratio", likelihood_ratio)
-    architecture = spelled(architecture, ARCHITECTURES)
+    architecture = match_spelling(architecture, ARCHITECTURES)
     if architecture not in ARCHITECTURES:
         raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
     for name, given in (("reference", reference), ("target_choice", target_choice)):
@@ -147,7 +147,7 @@ def informative_mppi(
         # Only the shape of these controls matters: every step replaces them by those of the
         # reference.
         shape = flight.horizon, robot.control_size
-        default = computed(lambda xp, rest: xp.broadcast_to(rest, shape), robot.default_control)
+        default = compute(lambda xp, rest: xp.broadcast_to(rest, shape), robot.default_control)
         proposal = BiasedProposal(
             flight.sampling(robot).proposal,
             default,
@@ -179,7 +179,7 @@ def _walk(robot: Dynamics, speed: ArrayLike, num_steps: int, dt: ArrayLike) -> G
     def at_most(bound: ArrayLike | None) -> ArrayLike:
         if bound is None:
             return speed
-        return computed(lambda xp, speed, bound: xp.minimum(speed, xp.abs(bound)), speed, bound)
+        return compute(lambda xp, speed, bound: xp.minimum(speed, xp.abs(bound)), speed, bound)
 
     backwards = at_most(bound_of_speed(robot, is_least=True)) if robot.can_reverse else None
     if not robot.turning_radius > 0.0:

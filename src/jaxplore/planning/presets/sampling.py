@@ -9,7 +9,7 @@ import numpy as np
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_SAMPLES, MOST_STEPS_AHEAD
 from jaxplore._types import ArrayLike, Scalar, Vector
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.control.coloured_noise import ColouredNoise
 from jaxplore.control.knots import Knots
 from jaxplore.control.noise import LEAST_STORED, Noise, NoiseBank, WhiteNoise
@@ -60,7 +60,7 @@ def sampling(
     std = GaussianProposal(noise_std).noise_std
     return Sampling(
         GaussianProposal(
-            computed(lambda _, factor, std: factor * std, factor, std),
+            compute(lambda _, factor, std: factor * std, factor, std),
             noise=noise_by_name(noise, num_samples),
         ),
         chosen,
@@ -110,10 +110,10 @@ def spread(parameterisation: Parameterisation, horizon: int, dt: ArrayLike) -> S
     steps = _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
     step = _checks.scalar("dt", dt, above=0.0)
     if isinstance(parameterisation, Smooth):
-        return computed(lambda _, dt: 1.0 / (dt * math.sqrt(0.5 * steps)), step)
+        return compute(lambda _, dt: 1.0 / (dt * math.sqrt(0.5 * steps)), step)
     if isinstance(parameterisation, Knots):
-        return computed(lambda _: np.float32(math.sqrt(parameterisation.num_knots / steps)))
-    return computed(lambda _: np.float32(1.0))
+        return compute(lambda _: np.float32(math.sqrt(parameterisation.num_knots / steps)))
+    return compute(lambda _: np.float32(1.0))
 
 
 def noise_by_name(
@@ -172,7 +172,7 @@ def weighting_by_name(
     if given == "softmax":
         return Softmax(heat, importance)
     if given == "adaptive":
-        size = computed(lambda xp, share: xp.maximum(share * samples, xp.ones_like(share)), share)
+        size = compute(lambda xp, share: xp.maximum(share * samples, xp.ones_like(share)), share)
         return AdaptiveSoftmax(size, temperature=heat)
     if given == "elite":
         return Elite(share)
@@ -180,4 +180,4 @@ def weighting_by_name(
 
 
 def _unknown(name: str, given: object, accepted: tuple[str, ...]) -> ValueError:
-    return ValueError(f"{name} is {_kinds.described(given)}; accepted: {', '.join(accepted)}")
+    return ValueError(f"{name} is {_kinds.describe(given)}; accepted: {', '.join(accepted)}")

@@ -39,7 +39,7 @@ def target_explorer(
         ValueError: a rule that is not in `RULES`, a part of another class, or a value that a part
             rejects.
     """
-    rule = checked_rule(rule)
+    rule = check_rule(rule)
     _kinds.instance("perception", perception, Perception)
     _kinds.instance("grid", grid, OccupancyGrid)
     looks_around = perception.sensors[0].is_full_circle
@@ -50,7 +50,7 @@ def target_explorer(
         rule,
         grid.frame,
         # A scenario pads its map, and the fields of its belief have that shape.
-        grid.padded().shape,
+        grid.pad().shape,
         perception.field_sensor.stride,
         required_clearance=perception.required_clearance,
         min_information=perception.min_information,
@@ -60,7 +60,7 @@ def target_explorer(
     )
 
 
-def checked_rule(rule: TargetRule | str) -> TargetRule:
+def check_rule(rule: TargetRule | str) -> TargetRule:
     """Return a rule that is given as one or by its name in `RULES`; refuse anything else."""
     if isinstance(rule, str):
         if rule not in RULES:

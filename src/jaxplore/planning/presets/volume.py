@@ -7,9 +7,9 @@ import numpy as np
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_STEPS_AHEAD
-from jaxplore._spelling import spelled
+from jaxplore._spelling import match_spelling
 from jaxplore._types import ArrayLike
-from jaxplore._xla import computed
+from jaxplore._xla import compute
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.control.mppi import MPPI
@@ -28,7 +28,7 @@ from jaxplore.costs.volume import (
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.planning.presets.flight import Flight
-from jaxplore.planning.presets.target_explorer import checked_rule
+from jaxplore.planning.presets.target_explorer import check_rule
 from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
 from jaxplore.planning.strategy.target_rules import TargetRule
 from jaxplore.planning.strategy.volume_informative import VolumeInformativeMPPI
@@ -89,17 +89,17 @@ def volume_explorer(
     keep = _checks.scalar("clearance", clearance, above=0.0)
     fastest = _checks.scalar("max_speed", max_speed, above=0.0)
 
-    def weighted(name: str, weight: ArrayLike, cost: Cost) -> Cost:
+    def scale_cost(name: str, weight: ArrayLike, cost: Cost) -> Cost:
         return _checks.scalar(name, weight) * cost
 
     cost = (
-        weighted("obstacle_weight", obstacle_weight, VolumeClearanceCost(robot.radius, keep))
-        + weighted("guidance_weight", guidance_weight, VolumeGuidanceCost())
-        + weighted("information_weight", information_weight, VolumeInformationCost())
-        + weighted("blind_weight", blind_weight, BlindFlightCost())
-        + weighted("attitude_weight", attitude_weight, AttitudeCost())
-        + weighted("speed_weight", speed_weight, SpeedLimitCost(fastest))
-        + weighted(
+        scale_cost("obstacle_weight", obstacle_weight, VolumeClearanceCost(robot.radius, keep))
+        + scale_cost("guidance_weight", guidance_weight, VolumeGuidanceCost())
+        + scale_cost("information_weight", information_weight, VolumeInformationCost())
+        + scale_cost("blind_weight", blind_weight, BlindFlightCost())
+        + scale_cost("attitude_weight", attitude_weight, AttitudeCost())
+        + scale_cost("speed_weight", speed_weight, SpeedLimitCost(fastest))
+        + scale_cost(
             "control_weight",
             control_weight,
             QuadraticControlCost(np.ones(robot.control_size)),
@@ -163,13 +163,13 @@ def volume_informative_mppi(
     _kinds.flag("likelihood_ratio", likelihood_ratio)
     _checks.positive_int("reference_steps", reference_steps, at_most=MOST_STEPS_AHEAD)
     _checks.scalar("bias_fraction", bias_fraction, at_least=0.0, at_most=1.0)
-    architecture = spelled(architecture, ARCHITECTURES)
+    architecture = match_spelling(architecture, ARCHITECTURES)
     if architecture not in ARCHITECTURES:
         raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
     mppi = volume_explorer(robot, **flying)
     field = _checks.scalar("field_weight", field_weight) * VolumePotentialCost()
     tracking = _checks.scalar("reference_weight", reference_weight) * VolumeReferenceCost()
-    speed = computed(
+    speed = compute(
         lambda xp, wanted, most: xp.minimum(wanted, most),
         _checks.scalar("reference_speed", reference_speed, above=0.0),
         _checks.scalar("max_speed", flying.get("max_speed", MAX_SPEED), above=0.0),
@@ -177,7 +177,7 @@ def volume_informative_mppi(
     reference = VolumeReference(speed, reference_steps, mppi.dt)
     # Only the shape of these controls matters: every step replaces them by those of the reference.
     shape = mppi.horizon, robot.control_size
-    controls = computed(lambda xp, rest: xp.broadcast_to(rest, shape), robot.default_control)
+    controls = compute(lambda xp, rest: xp.broadcast_to(rest, shape), robot.default_control)
     gaussian: Any = mppi.proposal
     biased = BiasedProposal(gaussian, controls, bias_fraction, likelihood_ratio=likelihood_ratio)
     is_parallel = architecture == "parallel"
@@ -227,7 +227,7 @@ def volume_target_explorer(
         ValueError: a rule that is not in `RULES`, a part of another class, or a value that a part
             rejects.
     """
-    rule = checked_rule(rule)
+    rule = check_rule(rule)
     _kinds.instance("perception", perception, VolumePerception)
     if not perception.needs_turning:
         flying = {**flying, "information_weight": 0.0}

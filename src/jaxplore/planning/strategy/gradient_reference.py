@@ -103,13 +103,13 @@ def _climb(
     up_row, up_column = (gather(slopes, nodes, 0.0, axis) for axis in (0, 1))
     slope = jnp.sqrt(up_row * up_row + up_column * up_column)
     scale = jnp.where(slope > flat, length / jnp.where(slope > flat, slope, 1.0), 0.0)
-    up = scale * _turned(up_column, up_row, field.frame.origin[2])
+    up = scale * _rotate(up_column, up_row, field.frame.origin[2])
     # Try the gradient first. Where it is blocked, slide along the map axis that rises more, then
     # along the other one.
     yaw = grid.frame.origin[2]
-    along_x, along_y = _turned(up[0], up[1], -yaw)
-    by_x = _turned(length * jnp.sign(along_x), jnp.zeros(()), yaw)
-    by_y = _turned(jnp.zeros(()), length * jnp.sign(along_y), yaw)
+    along_x, along_y = _rotate(up[0], up[1], -yaw)
+    by_x = _rotate(length * jnp.sign(along_x), jnp.zeros(()), yaw)
+    by_y = _rotate(jnp.zeros(()), length * jnp.sign(along_y), yaw)
     is_x = jnp.abs(along_x) >= jnp.abs(along_y)
     # All three at once: one program, of which each look-up is compiled once.
     moves = jnp.stack([up, jnp.where(is_x, by_x, by_y), jnp.where(is_x, by_y, by_x)])
@@ -121,7 +121,7 @@ def _climb(
     return result
 
 
-def _turned(x: Scalar, y: Scalar, yaw: Scalar) -> Position:
+def _rotate(x: Scalar, y: Scalar, yaw: Scalar) -> Position:
     """Rotate a vector by an angle [rad]."""
     cos, sin = jnp.cos(yaw), jnp.sin(yaw)
     return jnp.stack([cos * x - sin * y, sin * x + cos * y])

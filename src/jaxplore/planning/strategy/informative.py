@@ -20,7 +20,7 @@ from jaxplore.information.local_field import LocalFieldSensor
 from jaxplore.maps.field import ScalarField
 from jaxplore.planning.strategy.follower import Follower
 from jaxplore.planning.strategy.references import ReferenceStart, StrategicReference
-from jaxplore.planning.strategy.strategic_mppi import StrategicMPPI, checked_strategy
+from jaxplore.planning.strategy.strategic_mppi import StrategicMPPI, check_strategy
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 
@@ -122,7 +122,7 @@ class InformativeMPPI(StrategicMPPI):
         strategy_period: ArrayLike = 0.2,
         altitude: ArrayLike = 0.0,
     ) -> None:
-        strategy_period = checked_strategy(mppi, reference, follower, strategy_period)
+        strategy_period = check_strategy(mppi, reference, follower, strategy_period)
         _kinds.instance("potential_sensor", potential_sensor, LocalFieldSensor)
         _kinds.instance("short_range_field", short_range_field, ShortRangeField)
         _kinds.instance("sensor_model", sensor_model, InverseSensorModel, IdealSensor)
@@ -157,7 +157,7 @@ class InformativeMPPI(StrategicMPPI):
         model = self.mppi.dynamics
         position = model.position(observation)
         field = self.potential_sensor.field(belief.grid, position)
-        potential = self._remaining(field, belief)
+        potential = self._discount(field, belief)
         best = potential.best
         # `cond` needs a plan of the same shapes as in `init`: one row, which nothing reads.
         if self.reference is None:
@@ -169,7 +169,7 @@ class InformativeMPPI(StrategicMPPI):
         )
         return StrategicPlan(potential, best, self.reference(belief, best, start))
 
-    def known(
+    def extend_belief(
         self, belief: Belief, observation: StateVector, plan: StrategicPlan, age: Scalar
     ) -> StrategicBelief:
         """Return the belief with the fields and the reference of the strategic layer.
@@ -194,9 +194,9 @@ class InformativeMPPI(StrategicMPPI):
     def _short_range_information(self, belief: Belief, observation: StateVector) -> HeadingField:
         """Compute the discounted field of short-range scans around the robot [nat]."""
         position = self.mppi.dynamics.position(observation)
-        return self._remaining(self.short_range_field(belief, self.sensor_model, position), belief)
+        return self._discount(self.short_range_field(belief, self.sensor_model, position), belief)
 
-    def _remaining(self, field: HeadingField, belief: Belief) -> HeadingField:
+    def _discount(self, field: HeadingField, belief: Belief) -> HeadingField:
         """Discount a field by the time spent at each node; 0 everywhere once all is explored.
 
         Without the discount the robot would stay at a maximum whose information scans cannot get.

@@ -10,7 +10,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.model_checks import checked_call
+from jaxplore.control.model_checks import check_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
 from jaxplore.costs.base import SumCost
@@ -82,7 +82,7 @@ class RandomWalk(Controller):
     ) -> tuple[ControlVector, RandomWalkState, Info]:
         """Draw a new target if one is due, and plan towards the target."""
         model = self.mppi.dynamics
-        observation = checked_call(model, state, RandomWalkState, observation, key)
+        observation = check_call(model, state, RandomWalkState, observation, key)
         mppi, target, inner_key = self._prepare(state, observation, key)
         control, inner, info = mppi.step(state.mppi, observation, belief, key=inner_key)
         # Counting begins with the first target, so that a robot which is lost at first draws a
@@ -102,7 +102,7 @@ class RandomWalk(Controller):
     ) -> SampledPlan:
         """Return the trajectories of MPPI; see `Controller.inspect`."""
         model = self.mppi.dynamics
-        observation = checked_call(model, state, RandomWalkState, observation, key)
+        observation = check_call(model, state, RandomWalkState, observation, key)
         mppi, _, inner_key = self._prepare(state, observation, key)
         return mppi.inspect(
             state.mppi, observation, belief, key=inner_key, num_trajectories=num_trajectories

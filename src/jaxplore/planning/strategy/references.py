@@ -95,7 +95,7 @@ class ClimbingReference(StrategicReference):
         self, belief: Belief, potential: ScalarField, start: ReferenceStart
     ) -> Float[Array, "T 3"]:
         """Compute the positions after 1 ... T steps [m]."""
-        driven = _driven(self.gradient_reference, belief.guidance, start)
+        driven = _drive(self.gradient_reference, belief.guidance, start)
         if driven is not None:
             return driven
         climbing = self.gradient_reference(potential, belief.grid, start.position)
@@ -116,7 +116,7 @@ def descend(
     forwards and backwards, at no more than the speeds of the car. In any other field
     `gradient_reference` ascends the negative cost. The z of `start` is kept.
     """
-    driven = _driven(gradient_reference, field, start)
+    driven = _drive(gradient_reference, field, start)
     if driven is not None:
         return driven
     # Ascending the negative field reuses the handling of walls and flat places.
@@ -124,7 +124,7 @@ def descend(
     return gradient_reference(heights, belief.grid, start.position)
 
 
-def _driven(
+def _drive(
     gradient_reference: GradientReference, field: GuidanceField, start: ReferenceStart
 ) -> Float[Array, "T 3"] | None:
     """Return the positions of a car that descends a field; None for any other robot."""

@@ -12,7 +12,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mixtures import BiasedProposal
-from jaxplore.control.model_checks import checked_call
+from jaxplore.control.model_checks import check_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
 from jaxplore.planning.strategy.follower import Follower
@@ -60,7 +60,7 @@ class StrategicMPPI(Controller):
         """Run the strategic layer at the observed state (nx,), and return its plan."""
 
     @abc.abstractmethod
-    def known(self, belief: Any, observation: StateVector, plan: Any, age: Scalar) -> Any:
+    def extend_belief(self, belief: Any, observation: StateVector, plan: Any, age: Scalar) -> Any:
         """Return the belief that the costs read: the robot's own, with the strategic plan.
 
         `age` is the time since the strategic layer made the plan [s].
@@ -102,7 +102,7 @@ class StrategicMPPI(Controller):
     ) -> tuple[ControlVector, InformativeState, Info]:
         """Run the strategic layer if it is due, then plan with MPPI. There must be a belief."""
         model = self.mppi.dynamics
-        observation = checked_call(model, state, InformativeState, observation, key)
+        observation = check_call(model, state, InformativeState, observation, key)
         mppi, known, plan, age = self._prepare(state, observation, belief)
         control, inner, info = mppi.step(state.mppi, observation, known, key=key)
         return control, InformativeState(inner, plan, age + 1), info
@@ -118,7 +118,7 @@ class StrategicMPPI(Controller):
     ) -> SampledPlan:
         """Return the trajectories of MPPI and the reference; see `Controller.inspect`."""
         model = self.mppi.dynamics
-        observation = checked_call(model, state, InformativeState, observation, key)
+        observation = check_call(model, state, InformativeState, observation, key)
         mppi, known, _, _ = self._prepare(state, observation, belief)
         plan = mppi.inspect(
             state.mppi, observation, known, key=key, num_trajectories=num_trajectories
@@ -146,7 +146,9 @@ class StrategicMPPI(Controller):
         )
         age = jnp.where(is_due, 0, state.age)
         # Costs read one belief, so what the strategic layer found is added to the robot's own.
-        known = self.known(belief, observation, plan, age.astype(jnp.float32) * mppi.control_period)
+        known = self.extend_belief(
+            belief, observation, plan, age.astype(jnp.float32) * mppi.control_period
+        )
         follower = self.follower_of(plan)
         if follower is not None:
             # The reference has its own time grid and age: it is read at the times of the rollout.
@@ -161,7 +163,7 @@ class StrategicMPPI(Controller):
         return jnp.round(self.strategy_period / self.mppi.control_period).astype(jnp.int32)
 
 
-def checked_strategy(
+def check_strategy(
     mppi: MPPI, reference: object, follower: Follower | None, period: ArrayLike
 ) -> Scalar:
     """Return the strategy period [s], after the checks of the parts of a `StrategicMPPI`.

@@ -59,7 +59,7 @@ class RemainingInformation(TargetChoice):
         else:
             distance = targets.distances(belief, start.pose)
         # The goal has no uncertainty of its own; `choose` takes it only when no zone remains.
-        remaining = jnp.append(targets.zones.remaining(belief.grid), 0.0)
+        remaining = jnp.append(targets.zones.uncertainty(belief.grid), 0.0)
         # Masked before the product: a weight of 0 times an infinite distance is NaN.
         is_reached = jnp.isfinite(distance)
         cost = self.weight * jnp.where(is_reached, distance, 0.0)

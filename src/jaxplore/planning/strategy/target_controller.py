@@ -24,7 +24,7 @@ from jaxplore._types import (
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.control.base import Controller, Info, ModelBasedController, SampledPlan
-from jaxplore.control.model_checks import checked_call
+from jaxplore.control.model_checks import check_call
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.planning.strategy.frontiers import Frontiers
 from jaxplore.planning.strategy.target_progress import TargetProgress
@@ -107,7 +107,7 @@ class TargetController(Controller):
     ) -> tuple[ControlVector, TargetState, Info]:
         """Choose a target if a choice is due, and plan towards it; see `Controller.step`."""
         model = self.tracker.dynamics
-        observation = checked_call(model, state, TargetState, observation, key)
+        observation = check_call(model, state, TargetState, observation, key)
         state, known, control_key = self._prepare(state, observation, belief, key)
         control, tracker, info = self.tracker.step(
             state.tracker, observation, known, key=control_key
@@ -125,7 +125,7 @@ class TargetController(Controller):
     ) -> SampledPlan:
         """Return the trajectories of the tracker, with the target as the reference."""
         model = self.tracker.dynamics
-        observation = checked_call(model, state, TargetState, observation, key)
+        observation = check_call(model, state, TargetState, observation, key)
         state, known, control_key = self._prepare(state, observation, belief, key)
         plan = self.tracker.inspect(
             state.tracker, observation, known, key=control_key, num_trajectories=num_trajectories
@@ -166,7 +166,7 @@ class TargetController(Controller):
     ) -> TargetState:
         """Keep the target or choose a new one, and compute the cost to go to it."""
         on_the_way = state.has_target & (frontiers.distance[tuple(state.node)] > self.near)
-        progress = state.progress.checked(
+        progress = state.progress.update(
             frontiers.distance, state.node, on_the_way, self.spacing(state)
         )
         candidates = ask(self.rule, "candidates", frontiers) & progress.may_be

@@ -88,7 +88,7 @@ class TargetExplorer(TargetController):
         _kinds.instance("frame", frame, GridFrame)
         _kinds.instance("locomotion", locomotion, Locomotion, may_be_none=True)
         if not isinstance(shape, tuple) or len(shape) != 2:
-            raise ValueError(f"shape is {_kinds.described(shape)}; accepted: (H, W)")
+            raise ValueError(f"shape is {_kinds.describe(shape)}; accepted: (H, W)")
         self.tracker, self.rule, self.frame = tracker, rule, frame
         rows, columns = (_checks.positive_int("shape", side) for side in shape)
         self.shape = (rows, columns)

@@ -49,7 +49,7 @@ class TargetProgress(NamedTuple):
         """Mask of the places that are not avoided."""
         return self.avoided == 0
 
-    def checked(
+    def update(
         self,
         distance: Float[Array, "*nodes"],
         node: Int[Array, " n"],

@@ -51,7 +51,7 @@ def ask(rule: TargetRule, method: str, frontiers: Frontiers, **options: Key) -> 
     is_right = hasattr(found, "dtype") and jnp.issubdtype(found.dtype, kind)
     if not is_right or found.shape != shape:
         raise ValueError(
-            f"{method} of {name} are {_kinds.described(found)}; accepted: {accepted} of shape "
+            f"{method} of {name} are {_kinds.describe(found)}; accepted: {accepted} of shape "
             f"{shape}, such as frontiers.{'is_view' if method == 'candidates' else 'worth'}"
         )
     return jnp.asarray(found)

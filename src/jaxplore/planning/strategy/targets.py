@@ -41,9 +41,9 @@ class TargetScores(eqx.Module):
 class Targets(eqx.Module):
     """Zones to explore, a final goal, and the shortest paths to them.
 
-    A zone is depleted when its remaining uncertainty (`Zones.remaining`) is below `depleted`. Parts
-    of a zone that no scan can reach, such as the inside of a wall, remain for ever. All zones count
-    as depleted when nothing worthwhile is left to see (`Belief.is_explored`).
+    A zone is depleted when its remaining uncertainty (`Zones.uncertainty`) is below `depleted`.
+    Parts of a zone that no scan can reach, such as the inside of a wall, remain for ever. All zones
+    count as depleted when nothing worthwhile is left to see (`Belief.is_explored`).
 
     Paths keep the robot clear of whatever is not known to be free, and count double where it just
     fits (`roadmap`). A path ends at any open node of its target, or, if none is open, at the open
@@ -176,7 +176,7 @@ class Targets(eqx.Module):
             belief: what the robot knows of the world.
             values: (Z + 1,) value of each target; not finite where it cannot be reached.
         """
-        remaining = self.zones.remaining(belief.grid)
+        remaining = self.zones.uncertainty(belief.grid)
         remains = (remaining >= self.depleted) & ~belief.is_explored
         allowed = jnp.append(remains, ~remains.any())
         score = jnp.where(allowed & jnp.isfinite(values), values, -jnp.inf)

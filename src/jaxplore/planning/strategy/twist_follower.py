@@ -113,17 +113,17 @@ class TwistFollower(Follower):
             found, slope = twists(control)
             # The change of speed that the controls can bring about within the response time.
             acceleration = jnp.abs(slope[0]).sum() / self.response
-            wanted, weight = self._wanted(dynamics, state, target, velocity, acceleration)
+            wanted, weight = self._compute_twist(dynamics, state, target, velocity, acceleration)
             normal = slope.T @ (weight[:, None] * slope) + DAMPING * jnp.eye(size)
             low = (dynamics.control_min - control) / half_range
             high = (dynamics.control_max - control) / half_range
-            move = _within(normal, slope.T @ (weight * (wanted - found)), low, high)
+            move = _solve_bounded(normal, slope.T @ (weight * (wanted - found)), low, high)
             return control + half_range * move
 
         result: ControlVector = jax.lax.fori_loop(0, ITERATIONS, improve, dynamics.default_control)
         return result
 
-    def _wanted(
+    def _compute_twist(
         self,
         dynamics: Dynamics,
         state: StateVector,
@@ -156,7 +156,7 @@ class TwistFollower(Follower):
         return jnp.stack([speed, aside, turn_rate]), jnp.stack([1.0, sideways, 1.0])
 
 
-def _within(
+def _solve_bounded(
     normal: Float[Array, "n n"], right: Float[Array, " n"], low: Array, high: Array
 ) -> Float[Array, " n"]:
     """Return x of least x' normal x / 2 - right x within bounds, by coordinate descent.

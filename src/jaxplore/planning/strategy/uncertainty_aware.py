@@ -46,7 +46,7 @@ class UncertaintyAware(Controller):
         self, state: Any, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, Any, Info]:
         """Compute one control."""
-        controller, observed = self._informed(observation, belief)
+        controller, observed = self._with_certainty(observation, belief)
         return controller.step(state, observed, belief, key=key)
 
     def inspect(
@@ -59,7 +59,7 @@ class UncertaintyAware(Controller):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return the trajectories and costs that `step` computes for the same arguments."""
-        controller, observed = self._informed(observation, belief)
+        controller, observed = self._with_certainty(observation, belief)
         return controller.inspect(
             state, observed, belief, key=key, num_trajectories=num_trajectories
         )
@@ -68,7 +68,7 @@ class UncertaintyAware(Controller):
         """Return a copy of this controller that is called every `control_period` seconds."""
         return UncertaintyAware(self.controller.at_period(control_period))
 
-    def _informed(
+    def _with_certainty(
         self, observation: StateVector, belief: Belief
     ) -> tuple[MPPI, Float[Array, " n"]]:
         """Return the controller with the belief's certainty, and the state with the variance."""

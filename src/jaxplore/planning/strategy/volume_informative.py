@@ -20,7 +20,7 @@ from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.planning.strategy.follower import Follower
 from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
-from jaxplore.planning.strategy.strategic_mppi import StrategicMPPI, checked_strategy
+from jaxplore.planning.strategy.strategic_mppi import StrategicMPPI, check_strategy
 from jaxplore.planning.strategy.volume_reference import VolumeReference
 
 
@@ -87,7 +87,7 @@ class VolumeInformativeMPPI(StrategicMPPI):
         _kinds.instance("grid", grid, VoxelGrid)
         _kinds.instance("reference", reference, VolumeReference, may_be_none=True)
         _kinds.instance("follower", follower, QuadrotorFollower, may_be_none=True)
-        self.strategy_period = checked_strategy(mppi, reference, follower, strategy_period)
+        self.strategy_period = check_strategy(mppi, reference, follower, strategy_period)
         self.mppi, self.perception = mppi, perception
         self.reference, self.follower = reference, follower
         self.blank = perception.blank_field(grid)
@@ -147,7 +147,7 @@ class VolumeInformativeMPPI(StrategicMPPI):
         )
         return VolumeStrategicPlan(best, path, _best_heading(belief, path[-1], heading))
 
-    def known(
+    def extend_belief(
         self,
         belief: VolumeBelief,
         observation: StateVector,

@@ -71,7 +71,7 @@ class VolumeReference(eqx.Module):
         pieces = jnp.maximum(jnp.ceil(length / (0.5 * clearance.spacing)), 1.0)
 
         def piece(_: Array, position: Array) -> Array:
-            return _descended(guidance, clearance, required, position, length / pieces)
+            return _descend(guidance, clearance, required, position, length / pieces)
 
         def step(position: Array, _: None) -> tuple[Array, Array]:
             after = jax.lax.fori_loop(0, pieces.astype(jnp.int32), piece, position)
@@ -82,7 +82,7 @@ class VolumeReference(eqx.Module):
         return path
 
 
-def _descended(
+def _descend(
     guidance: VolumeField,
     clearance: VolumeField,
     required: Scalar,

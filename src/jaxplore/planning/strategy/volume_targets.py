@@ -13,7 +13,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.coarse_voxels import FREE, UNKNOWN
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
-from jaxplore.belief.rolling_map import shifted
+from jaxplore.belief.rolling_map import shift_array
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.belief.volume_lattice import NODE
@@ -153,7 +153,7 @@ class VolumeTargetExplorer(TargetController):
             guidance=eqx.tree_at(lambda each: each.origin, old, new.origin),
             since=jnp.where(jnp.any(gap != 0), 0, state.since),
             progress=state.progress._replace(
-                avoided=shifted(state.progress.avoided, jnp.flip(gap))
+                avoided=shift_array(state.progress.avoided, jnp.flip(gap))
             ),
         )
         return super()._choose_if_due(moved, observation, belief, key)

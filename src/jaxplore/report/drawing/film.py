@@ -166,7 +166,7 @@ def write_film[F](
     file = check_film(path, options)
     seconds = options.frame_seconds(file.suffix.lower())
 
-    def drawn() -> Iterable[Image.Image]:
+    def draw_frames() -> Iterable[Image.Image]:
         for done, frame in enumerate(frames):
             yield draw(frame)
             on_progress((done + 1) / len(frames))
@@ -175,9 +175,9 @@ def write_film[F](
         if file.suffix.lower() == GIF:
             # One palette must exist before the first frame is quantised, so a few are drawn twice.
             shared = palette([draw(frame) for frame in evenly_chosen(frames, LOOKS)])
-            _save_gif(temporary, drawn(), shared, seconds)
+            _save_gif(temporary, draw_frames(), shared, seconds)
         else:
-            _save_mp4(temporary, drawn(), seconds)
+            _save_mp4(temporary, draw_frames(), seconds)
 
 
 def _save_gif(
@@ -239,7 +239,7 @@ def _even(picture: Image.Image) -> Image.Image:
     return larger
 
 
-def captioned(image: Image.Image, scale: float, left: str, right: str) -> Image.Image:
+def add_caption(image: Image.Image, scale: float, left: str, right: str) -> Image.Image:
     """Return a picture below a caption, such as its name and the speed of the film.
 
     The left text is in bold letters. Either text may be empty.
@@ -254,7 +254,7 @@ def captioned(image: Image.Image, scale: float, left: str, right: str) -> Image.
     return whole
 
 
-def told_speed(speed: float | None) -> str:
+def describe_speed(speed: float | None) -> str:
     """Describe the speed of a film in words, such as "8 x real time"."""
     if speed is None or speed <= 0.0:
         return ""

@@ -23,7 +23,7 @@ PLAN, ROBOT = (218, 39, 78), (218, 39, 78)
 REFERENCE = (25, 91, 38)
 
 
-def fitted_palette(given: Sequence[Colour], pictures: Sequence[Image.Image]) -> Image.Image:
+def fit_palette(given: Sequence[Colour], pictures: Sequence[Image.Image]) -> Image.Image:
     """Compute a palette of the given colours and the most frequent others of some frames.
 
     The given colours are opaque and kept unchanged. The frames are all of one size.

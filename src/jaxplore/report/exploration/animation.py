@@ -35,16 +35,16 @@ from jaxplore.report.drawing.palette import (
     STRONG,
     TRAIL,
     Colour,
-    fitted_palette,
+    fit_palette,
 )
 from jaxplore.report.drawing.picture import SUPERSAMPLING, WIDTH, pairs
 from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts, draw_targets
-from jaxplore.report.exploration.anomalies import found_at, middles
+from jaxplore.report.exploration.anomalies import find_report_times, middles
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.footer import draw_footer
 from jaxplore.report.exploration.objects import class_colours, draw_objects
-from jaxplore.report.exploration.progress import carried_steps
+from jaxplore.report.exploration.progress import find_carried_steps
 
 NUM_RAYS = 45
 DASH = 7.0
@@ -133,14 +133,14 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
         draw.polygon(pairs(canvas.pixels(np.concatenate([here[None], seen]))), LIDAR_AREA)
     for end in seen[:: max(1, len(seen) // NUM_RAYS)]:
         line(np.stack([here, end]), LIDAR_RAY, 0.5)
-    cuts = np.flatnonzero(carried_steps(recording)[: frame.step]) + 1
+    cuts = np.flatnonzero(find_carried_steps(recording)[: frame.step]) + 1
     for piece in np.split(recording.positions[: frame.step + 1], cuts):
         line(piece, TRAIL, 1.5)
     draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
     if recording.objects is not None and len(frame.classes):
         draw_objects(canvas, draw, recording.objects, frame)
     if recording.anomalies is not None:
-        is_found = found_at(recording.anomalies) <= frame.time
+        is_found = find_report_times(recording.anomalies) <= frame.time
         draw_targets(canvas, draw, middles(recording.anomalies), is_found, ALARM)
     _draw_moving_obstacles(canvas, frame, draw)
     _draw_tracks(canvas, frame, draw)
@@ -199,7 +199,7 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)
 
 
-def shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
+def compute_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
     """Compute the palette that all frames share from a few pictures, all of one size.
 
     Thin lines have few pixels, and a palette by frequency would lose their colours. Their colours
@@ -220,4 +220,4 @@ def shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) 
         given += [each for each in class_colours(recording.objects) if each != TARGET]
     if len(recording.mover_radii):
         given.append(MOVER_EDGE)
-    return fitted_palette(given, pictures)
+    return fit_palette(given, pictures)

@@ -32,7 +32,7 @@ def matches(found: AnomalyData) -> np.ndarray:
     return np.asarray(np.hypot(*np.moveaxis(np.maximum(beside, 0.0), -1, 0)) <= MATCH)
 
 
-def found_at(found: AnomalyData) -> np.ndarray:
+def find_report_times(found: AnomalyData) -> np.ndarray:
     """Return the time (P,) of the first report of each anomaly by its kind and place [s]."""
     is_of = matches(found) & (found.kind[:, None] == found.kinds)
     times = np.where(is_of, found.reported[:, None], np.inf)
@@ -68,7 +68,7 @@ def anomaly_rows(found: AnomalyData | None) -> list[dict[str, Any]] | None:
 
 def anomaly_metrics(found: AnomalyData | None) -> dict[str, Any]:
     """Return the metrics of the anomalies, as in `ExplorationMetrics`."""
-    times = np.zeros(0) if found is None else found_at(found)
+    times = np.zeros(0) if found is None else find_report_times(found)
     return {
         "num_anomalies": len(times),
         "anomalies_found": int(np.isfinite(times).sum()),
@@ -98,7 +98,7 @@ def add_anomalies(axes: "Axes", found: AnomalyData | None, window: Window) -> No
     if found is None:
         return
     colour = shade(ALARM)
-    is_found = np.isfinite(found_at(found))
+    is_found = np.isfinite(find_report_times(found))
     places = window.place(middles(found)) + window.corner
     for some, marker, size, fill, edge, label in (
         (~is_found, "*", 14.0, colour, "white", "anomaly, not found"),

@@ -9,7 +9,7 @@ from jaxplore.report.drawing.footer import Entry, footer_height
 from jaxplore.report.drawing.picture import MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, to_frame
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.legend import legend_entries
-from jaxplore.report.exploration.overlays import closed_cells
+from jaxplore.report.exploration.overlays import find_closed_cells
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.exploration.window import Window
 
@@ -100,7 +100,7 @@ def make_canvas(recording: ExplorationData, width: int, zoom: float) -> Canvas:
     down, across = ((index * size).astype(int) for index, size in cells)
     blocks = (down, across)
     corners, shares = _field_stencil(recording, window, sample)
-    closed = closed_cells(recording, window)[np.ix_(*sample)]
+    closed = find_closed_cells(recording, window)[np.ix_(*sample)]
     return Canvas(
         recording=recording,
         window=window,

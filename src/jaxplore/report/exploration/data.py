@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.control.base import Members
-from jaxplore.maps.datum import moved
-from jaxplore.report.recording import Frame, RunData, moved_records, moved_states
+from jaxplore.maps.datum import move_points
+from jaxplore.report.recording import Frame, RunData, move_records, move_states
 
 
 class MapProgress(NamedTuple):
@@ -126,12 +126,12 @@ class LocalisationData(NamedTuple):
     reference: np.ndarray
     num_loops: int | None
 
-    def moved(self, offset: np.ndarray) -> "LocalisationData":
+    def move(self, offset: np.ndarray) -> "LocalisationData":
         """Return the data with an offset (2,) [m] added to positions."""
         return self._replace(
-            true_poses=moved(self.true_poses, offset),
-            poses=moved(self.poses, offset),
-            reckoned=moved(self.reckoned, offset),
+            true_poses=move_points(self.true_poses, offset),
+            poses=move_points(self.poses, offset),
+            reckoned=move_points(self.reckoned, offset),
         )
 
 
@@ -276,23 +276,23 @@ class ExplorationData(RunData):
     localisation: LocalisationData | None = None
     target: str = "coverage"
 
-    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+    def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that are or have positions, with an offset (2,) [m] added."""
         found, objects, place = self.anomalies, self.objects, self.localisation
         if found is not None:
-            boxes = moved(moved(found.boxes, offset), offset, (2, 3))
-            found = found._replace(boxes=boxes, place=moved(found.place, offset))
+            boxes = move_points(move_points(found.boxes, offset), offset, (2, 3))
+            found = found._replace(boxes=boxes, place=move_points(found.place, offset))
         if objects is not None:
-            objects = objects._replace(place=moved(objects.place, offset))
+            objects = objects._replace(place=move_points(objects.place, offset))
         return {
-            "records": moved_records(self.records, offset, self.state_names),
-            "start": moved_states(self.start, offset, self.state_names),
-            "goal": None if self.goal is None else moved(self.goal, offset),
+            "records": move_records(self.records, offset, self.state_names),
+            "start": move_states(self.start, offset, self.state_names),
+            "goal": None if self.goal is None else move_points(self.goal, offset),
             "anomalies": found,
             "objects": objects,
-            "localisation": None if place is None else place.moved(offset),
+            "localisation": None if place is None else place.move(offset),
             **{
-                name: moved(getattr(self, name), offset)
+                name: move_points(getattr(self, name), offset)
                 for name in ("origin", "field_origin", "targets")
             },
         }

@@ -19,7 +19,7 @@ from jaxplore.report.exploration.missions import (
 )
 from jaxplore.report.exploration.objects import object_metrics
 from jaxplore.report.exploration.progress import LEVELS, at_instants, longest_stall, progress
-from jaxplore.report.metrics import sampled_series
+from jaxplore.report.metrics import thin_series
 from jaxplore.report.motion import command_jerk, episodes
 
 
@@ -45,7 +45,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         curve["targets"] = at_instants(records.targets_seen, 0.0)
     if recording.idleness is not None:
         curve["idleness"] = at_instants(records.mean_idleness, 0.0)
-    finished_at, given_up = _finished_at(recording, float(coverage[-1])), recording.given_up_step
+    finished_at, given_up = _find_finish(recording, float(coverage[-1])), recording.given_up_step
     mean_idleness, worst_idleness = idleness(recording)
     diversity, replaced = fusion_means(recording)
     return ExplorationMetrics(
@@ -93,7 +93,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         **localisation_metrics(recording),
         reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
         longest_stall=longest_stall(recording.positions, coverage) * period,
-        coverage_curve=sampled_series(curve, period),
+        coverage_curve=thin_series(curve, period),
     )
 
 
@@ -120,7 +120,7 @@ def _wheels(records: ExplorationRecord, period: float) -> dict[str, Any]:
     }
 
 
-def _finished_at(recording: ExplorationData, coverage: float) -> float | None:
+def _find_finish(recording: ExplorationData, coverage: float) -> float | None:
     if recording.finished_step is not None:
         return recording.finished_step * recording.control_period
     target = recording.target_coverage

@@ -9,7 +9,7 @@ from jaxplore.report.drawing.colours import OCCUPIED, SERIES, shade
 from jaxplore.report.drawing.series import style_time
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.map_axes import frame_map
-from jaxplore.report.exploration.missions import judged_from
+from jaxplore.report.exploration.missions import find_judged_start
 from jaxplore.report.exploration.progress import at_instants
 from jaxplore.report.exploration.window import Window
 
@@ -84,7 +84,7 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
         (records.mean_idleness, SERIES[0], "mean"),
     ):
         curve.plot(time, at_instants(values, 0.0), color=colour, linewidth=1.8, label=label)
-    begin = judged_from(recording) * recording.control_period
+    begin = find_judged_start(recording) * recording.control_period
     curve.axvspan(0.0, begin, color="0.2", alpha=0.07, linewidth=0.0, label="not counted")
     style_time(curve, duration)
     curve.set(ylabel="not seen for [s]", title="of the reachable cells")

@@ -6,12 +6,12 @@ import numpy as np
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import ExplorationData
-from jaxplore.report.exploration.progress import carried_steps
+from jaxplore.report.exploration.progress import find_carried_steps
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.localisation import (
     SAME_FRAME,
     absolute_error,
-    aligned,
+    align,
     aligned_coverage,
     map_agreement,
     relative_error,
@@ -53,7 +53,7 @@ def localisation_metrics(recording: ExplorationData) -> dict[str, Any]:
 
     # On a known map there are no loops, and poses are in its frame.
     is_own = found.num_loops is not None
-    motion = aligned(found.true_poses, found.poses) if is_own else SAME_FRAME
+    motion = align(found.true_poses, found.poses) if is_own else SAME_FRAME
     alignment = None if is_own else SAME_FRAME
     relative = relative_error(found.true_poses, found.poses, RPE_LENGTH)
     agreement = map_agreement(grid(found.reference), grid(recording.belief), motion)
@@ -78,7 +78,7 @@ def localisation_metrics(recording: ExplorationData) -> dict[str, Any]:
 
 def _recovery(recording: ExplorationData) -> dict[str, float | None]:
     """Return when a fault carried the robot away, and how long it took to find itself again."""
-    steps = np.flatnonzero(carried_steps(recording))
+    steps = np.flatnonzero(find_carried_steps(recording))
     if not len(steps):
         return {"carried_at": None, "recovered_after": None}
     # The record of a step has the error at its beginning, and the robot is carried at its end.
@@ -98,7 +98,7 @@ def _recovery(recording: ExplorationData) -> dict[str, float | None]:
 
 def add_estimate(axes: "Axes", recording: ExplorationData, window: Window) -> None:
     """Draw where the robot took itself to be, as a line beside its true way."""
-    for step in np.flatnonzero(carried_steps(recording)).tolist():
+    for step in np.flatnonzero(find_carried_steps(recording)).tolist():
         ends = window.place(recording.positions[[step, step + 1]]) + window.corner
         axes.plot(*ends.T, ":", color=CARRIED, linewidth=1.0, zorder=4.0, label="carried away")
     found = recording.localisation

@@ -196,7 +196,7 @@ class ExplorationMetrics(Metrics):
         ),
     )
     columns = (
-        Column.finished(),
+        Column.num_finished(),
         Column.quartiles("finished_at", "after [s]"),
         Column.quartiles("time_to_90", "90 % after [s]", number=lambda each: each.time_to["90"]),
         Column.quartiles("coverage", "coverage [%]", scale=100.0),
@@ -293,7 +293,7 @@ class ExplorationMetrics(Metrics):
             *([("stopped", f"{self.stopped_steps} steps")] if self.stops else []),
             *((f"  {reason}", f"{number} times") for reason, number in self.stops.items()),
             *self._member_rows(),
-            *self.closing_rows(),
+            *self.last_rows(),
         ]
         return rows
 

@@ -17,7 +17,7 @@ def last_target_at(recording: ExplorationData) -> float | None:
     return int(is_all.argmax()) * recording.control_period
 
 
-def judged_from(recording: ExplorationData) -> int:
+def find_judged_start(recording: ExplorationData) -> int:
     """Return the first step of the second half of a run, N // 2."""
     return recording.num_steps // 2
 
@@ -30,7 +30,7 @@ def idleness(recording: ExplorationData) -> tuple[float | None, float | None]:
     """
     if recording.idleness is None or recording.num_steps == 0:
         return None, None
-    records, begin = recording.records, judged_from(recording)
+    records, begin = recording.records, find_judged_start(recording)
     worst = np.asarray(records.worst_idleness[begin:], np.float64)
     return finite_mean(records.mean_idleness[begin:]), finite(np.max(worst))
 

@@ -40,7 +40,7 @@ def class_colours(objects: ObjectData) -> list[tuple[int, int, int]]:
     ]
 
 
-def known_objects(
+def find_known_objects(
     objects: ObjectData | None, frame: ExplorationFrame
 ) -> list[tuple[np.ndarray, tuple[int, int, int]]]:
     """Return the place and a colour of each object that was detected by the time of a frame.

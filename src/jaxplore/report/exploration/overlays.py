@@ -32,7 +32,7 @@ CONTOUR = "#6b7f5e"
 """Colour of contour lines."""
 
 
-def closed_cells(recording: ExplorationData, window: Window) -> np.ndarray:
+def find_closed_cells(recording: ExplorationData, window: Window) -> np.ndarray:
     """Return the window's cells (R, C) of untraversable open ground."""
     if recording.traversable is None:
         return np.zeros(window.shape, bool)
@@ -44,7 +44,7 @@ def add_ground(axes: "Axes", recording: ExplorationData, window: Window) -> None
     """Draw contour lines with their heights, and hatch untraversable ground."""
     if recording.elevation is not None:
         _add_contours(axes, np.asarray(recording.elevation), window)
-    closed = closed_cells(recording, window)
+    closed = find_closed_cells(recording, window)
     if not closed.any():
         return
     # One more row of cells on each side closes the hatched area at the picture's edge.

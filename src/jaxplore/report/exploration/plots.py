@@ -32,12 +32,12 @@ from jaxplore.report.exploration.overlays import (
     add_ground,
     add_moving_obstacles,
     add_targets,
-    closed_cells,
+    find_closed_cells,
 )
 from jaxplore.report.exploration.progress import (
     LEVELS,
     at_instants,
-    carried_steps,
+    find_carried_steps,
     is_known_map,
     progress,
 )
@@ -70,7 +70,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
     figure, axes = map_figure_axes(width + 1.8, height + 1.1, window)
     levels = np.round(255.0 * window.crop(recording.belief, 0.5)).astype(np.uint8)
     colours = belief_colours()[levels]
-    closed = closed_cells(recording, window)
+    closed = find_closed_cells(recording, window)
     tint = CLOSED_SHARE * (np.asarray(CLOSED) - colours[closed].astype(np.float64))
     colours[closed] = np.round(colours[closed] + tint).astype(np.uint8)
     unseen = _unseen_walls(recording)
@@ -82,7 +82,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
     track = (window.place(recording.positions) + window.corner)[kept]
     duration = max(float(time[-1]), recording.control_period)
     # Where the robot was carried it left no track.
-    number = np.append(0, np.cumsum(carried_steps(recording)))[kept]
+    number = np.append(0, np.cumsum(find_carried_steps(recording)))[kept]
     is_driven = number[:-1] == number[1:]
     pieces = np.stack([track[:-1], track[1:]], axis=1)[is_driven]
     lines = LineCollection(pieces.tolist(), cmap="viridis", linewidths=1.8)

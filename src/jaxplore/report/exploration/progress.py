@@ -30,12 +30,12 @@ def progress(recording: ExplorationData) -> tuple[np.ndarray, np.ndarray, np.nda
         )
     )
     moves = np.diff(recording.positions.astype(np.float64), axis=0)
-    moves[carried_steps(recording)] = 0.0
+    moves[find_carried_steps(recording)] = 0.0
     path = np.concatenate([[0.0], np.cumsum(np.hypot(moves[:, 0], moves[:, 1]))])
     return np.arange(steps + 1) * recording.control_period, coverage, entropy, path
 
 
-def carried_steps(recording: ExplorationData) -> np.ndarray:
+def find_carried_steps(recording: ExplorationData) -> np.ndarray:
     """Return the mask (N,) of the steps at whose end a fault carried the robot to another place."""
     given = recording.records.is_carried
     return np.zeros(recording.num_steps, bool) if given is None else np.asarray(given, bool)

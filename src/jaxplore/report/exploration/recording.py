@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from jaxplore.maps.files.ros import write_map
-from jaxplore.report.exploration.animation import frame_image, painter, shared_palette
+from jaxplore.report.exploration.animation import compute_palette, frame_image, painter
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.idleness import idleness_figure
@@ -54,7 +54,7 @@ class ExplorationRecording(ExplorationData, Recording):
 
     def palette(self, pictures: Sequence[Image.Image]) -> Image.Image:
         """Compute the palette that all frames share."""
-        return shared_palette(self, pictures)
+        return compute_palette(self, pictures)
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:
         """Return functions that draw the figures, by file name without suffix."""

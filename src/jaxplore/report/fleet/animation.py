@@ -18,7 +18,7 @@ from jaxplore.report.drawing.palette import (
     PAPER,
     TRAIL,
     Colour,
-    fitted_palette,
+    fit_palette,
 )
 from jaxplore.report.drawing.picture import MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, WIDTH
 from jaxplore.report.drawing.shapes import LEAST_RADIUS, draw_line
@@ -88,13 +88,13 @@ def frame_image(data: FleetData, frame: FleetFrame, scale: float) -> Image.Image
     return _draw(_canvas(data, scale), frame)
 
 
-def shared_palette(data: FleetData, pictures: Sequence[Image.Image]) -> Image.Image:
+def compute_palette(data: FleetData, pictures: Sequence[Image.Image]) -> Image.Image:
     """Compute the palette that all frames share from some of them, with the robots' colours."""
     lines: list[Colour] = [robot_colour(i) for i in range(min(data.num_robots, len(SERIES)))]
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, TRAIL, LINK]
     given += lines
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
-    return fitted_palette(given, pictures)
+    return fit_palette(given, pictures)
 
 
 def _canvas(data: FleetData, zoom: float) -> Canvas:

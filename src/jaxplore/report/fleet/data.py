@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
-from jaxplore.maps.datum import moved
+from jaxplore.maps.datum import move_points
 from jaxplore.report.recording import Frame, RunData
 
 
@@ -73,16 +73,16 @@ def axes_of_robots(names: Sequence[str]) -> tuple[tuple[int, int], ...]:
     return tuple(zip(x, y, strict=True))
 
 
-def moved_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) -> np.ndarray:
+def move_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """Return states (..., nx) of a fleet with an offset (2,) [m] added to all positions."""
     for columns in axes_of_robots(names):
-        states = moved(states, offset, columns)
+        states = move_points(states, offset, columns)
     return states
 
 
-def moved_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
+def move_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
     """Return records of steps with an offset (2,) [m] added to the positions of all robots."""
-    return records._replace(state=moved_states(records.state, offset, names))
+    return records._replace(state=move_states(records.state, offset, names))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
@@ -123,12 +123,12 @@ class FleetData(RunData):
     radii: np.ndarray
     coordination: str
 
-    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+    def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
         return {
-            "records": moved_records(self.records, offset, self.state_names),
-            "start": moved_states(self.start, offset, self.state_names),
-            "origin": moved(self.origin, offset),
+            "records": move_records(self.records, offset, self.state_names),
+            "start": move_states(self.start, offset, self.state_names),
+            "origin": move_points(self.origin, offset),
         }
 
     @property

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxplore.report._numbers import finite, percent, text
 from jaxplore.report.fleet.data import FleetData
-from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
+from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import episodes
 
 LEVELS = (50, 90, 95, 99)
@@ -59,7 +59,7 @@ class FleetMetrics(Metrics):
     coverage_curve: dict[str, list[float | None]]
 
     columns = (
-        Column.finished(),
+        Column.num_finished(),
         Column.quartiles("to_90", "90 % [s]", number=lambda each: each.time_to["90"]),
         Column.quartiles("to_95", "95 % [s]", number=lambda each: each.time_to["95"]),
         Column.quartiles("path_length", "path [m]"),
@@ -99,7 +99,7 @@ class FleetMetrics(Metrics):
             ("contacts", f"{self.contacts} between robots, {self.collisions} with walls"),
             ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
             ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
-            *self.closing_rows(),
+            *self.last_rows(),
         ]
 
 
@@ -135,5 +135,5 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         linked=float(np.mean(records.links) / pairs) if pairs and data.num_steps else None,
         least_coverage=float(data.coverages[:, -1].min()),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
-        coverage_curve=sampled_series({**curve, **robots}, period),
+        coverage_curve=thin_series({**curve, **robots}, period),
     )

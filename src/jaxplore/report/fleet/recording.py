@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from jaxplore.maps.files.ros import write_map
-from jaxplore.report.fleet.animation import frame_image, painter, shared_palette
+from jaxplore.report.fleet.animation import compute_palette, frame_image, painter
 from jaxplore.report.fleet.data import FleetData, FleetFrame
 from jaxplore.report.fleet.metrics import FleetMetrics, compute_metrics
 from jaxplore.report.fleet.plots import coverage_figure, map_figure
@@ -47,7 +47,7 @@ class FleetRecording(FleetData, Recording):
 
     def palette(self, pictures: Sequence[Image.Image]) -> Image.Image:
         """Compute the palette that all frames share."""
-        return shared_palette(self, pictures)
+        return compute_palette(self, pictures)
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:
         """Return functions that draw the figures, by file name without suffix."""

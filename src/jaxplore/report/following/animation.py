@@ -19,7 +19,7 @@ from jaxplore.report.drawing.palette import (
     STRONG,
     TRAIL,
     Colour,
-    fitted_palette,
+    fit_palette,
 )
 from jaxplore.report.drawing.picture import (
     MIN_MAP_SIDE,
@@ -314,4 +314,4 @@ def path_palette(pictures: Sequence[Image.Image]) -> Image.Image:
     lines = (PLAN, STRONG[:3], FAINT[:3], TRAIL, INK, PALE, MISSED)
     given: list[Colour] = [PAPER, FREE, BEYOND, MOVER_EDGE, *lines]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
-    return fitted_palette(given, pictures)
+    return fit_palette(given, pictures)

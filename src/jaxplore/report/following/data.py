@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Flag, Scalar, StateVector
-from jaxplore.maps.datum import moved
-from jaxplore.report.recording import Frame, RunData, moved_records, moved_states
+from jaxplore.maps.datum import move_points
+from jaxplore.report.recording import Frame, RunData, move_records, move_states
 
 
 class PathRecord(NamedTuple):
@@ -105,13 +105,13 @@ class PathData(RunData):
     footprint: np.ndarray
     obstacle_radii: np.ndarray
 
-    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+    def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that are or have positions, with an offset (2,) [m] added."""
         return {
-            "records": moved_records(self.records, offset, self.state_names),
-            "start": moved_states(self.start, offset, self.state_names),
-            "centre": moved(self.centre, offset),
-            "edges": moved(self.edges, offset),
+            "records": move_records(self.records, offset, self.state_names),
+            "start": move_states(self.start, offset, self.state_names),
+            "centre": move_points(self.centre, offset),
+            "edges": move_points(self.edges, offset),
         }
 
     @property

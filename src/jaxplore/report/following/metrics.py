@@ -9,7 +9,7 @@ import numpy as np
 from jaxplore.report._numbers import finite, finite_mean, text
 from jaxplore.report.following.data import PathData
 from jaxplore.report.following.laps import lap_times, speeds
-from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
+from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import command_jerk, episodes
 
 
@@ -89,7 +89,7 @@ class PathMetrics(Metrics):
         Curve("contouring", "contouring error [m]"),
     )
     columns = (
-        Column.finished(),
+        Column.num_finished(),
         Column.quartiles("finished_at", "after [s]"),
         Column.quartiles(
             "best_lap",
@@ -153,7 +153,7 @@ class PathMetrics(Metrics):
             ("sample size", f"{text(sizes[0], 1)} effective, {text(sizes[1], 1)} at least"),
             ("non-finite", f"{self.non_finite_steps} steps"),
             *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
-            *self.closing_rows(),
+            *self.last_rows(),
         ]
         return rows
 
@@ -208,7 +208,7 @@ def compute_path_metrics(recording: PathData, *, seed: int | None = None) -> Pat
         minimum_effective_sample_size=finite(np.min(sizes, initial=np.inf)),
         non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
         fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
-        curves=sampled_series(curves, period),
+        curves=thin_series(curves, period),
     )
 
 

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxplore._types import ControlVector, Flag, Scalar, StateVector
-from jaxplore.maps.datum import moved
+from jaxplore.maps.datum import move_points
 from jaxplore.report._numbers import finite
-from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
+from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import episodes
-from jaxplore.report.recording import Frame, RunData, moved_records, moved_states
+from jaxplore.report.recording import Frame, RunData, move_records, move_states
 
 
 class VolumeRecord(NamedTuple):
@@ -58,7 +58,7 @@ class VolumeFrame(Frame):
 
     places = ("plan",)
 
-    def occupied(self, shape: tuple[int, ...]) -> np.ndarray:
+    def find_occupied(self, shape: tuple[int, ...]) -> np.ndarray:
         """Return the voxels (D, H, W) that the robot knows to be occupied."""
         bits = np.unpackbits(self.voxels, count=math.prod(shape))
         return bits.reshape(shape).astype(bool)
@@ -98,12 +98,12 @@ class VolumeData(RunData):
     target_coverage: float
     robot_radius: float
 
-    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+    def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
         return {
-            "records": moved_records(self.records, offset, self.state_names),
-            "start": moved_states(self.start, offset, self.state_names),
-            "origin": moved(self.origin, offset),
+            "records": move_records(self.records, offset, self.state_names),
+            "start": move_states(self.start, offset, self.state_names),
+            "origin": move_points(self.origin, offset),
         }
 
     @property
@@ -143,7 +143,7 @@ class VolumeMetrics(Metrics):
     mean_effective_sample_size: float | None
     curve: dict[str, list[float | None]]
     columns = (
-        Column.finished(),
+        Column.num_finished(),
         Column.quartiles("to_90", "90 % [s]", number=lambda each: each.time_to["90"]),
         Column.quartiles("to_95", "95 % [s]", number=lambda each: each.time_to["95"]),
         Column.quartiles("path_length", "path [m]"),
@@ -185,5 +185,5 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         mean_speed=float(path[-1] / max(period, data.num_steps * period)),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
-        curve=sampled_series(curve, period),
+        curve=thin_series(curve, period),
     )

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing import colours
 from jaxplore.report.drawing.film import FilmOptions, write_film
-from jaxplore.report.drawing.palette import fitted_palette
+from jaxplore.report.drawing.palette import fit_palette
 from jaxplore.report.recording import Recording
 from jaxplore.report.volume.data import (
     FREE,
@@ -178,7 +178,7 @@ def write_turntable(data: VolumeData, path: Path) -> None:
 
     angles = [math.radians(60.0) + 2.0 * math.pi * turn / TURNS for turn in range(TURNS)]
     options = FilmOptions(fps=12.5)
-    palette = partial(fitted_palette, ())
+    palette = partial(fit_palette, ())
     write_film(path, angles, draw, palette, options, lambda _: None)
 
 

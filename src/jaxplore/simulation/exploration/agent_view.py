@@ -124,7 +124,7 @@ class ExplorationView(AgentView):
         angles = pose[2] + np.concatenate([sensor.beam_angles for sensor in self.sensors])
         directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         return belief_picture(
-            state.belief.grid.cropped(state.belief.grid.probability),
+            state.belief.grid.crop(state.belief.grid.probability),
             np.asarray(frame.origin),
             frame.resolution,
             path=trail,

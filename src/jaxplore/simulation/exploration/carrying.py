@@ -28,8 +28,8 @@ def check_carrying(
     rows, columns = reachable.shape
     if not (0 <= row < rows and 0 <= column < columns and bool(reachable[row, column])):
         raise ValueError(
-            f"carried_to is {datum.shown(faults.carried_to).tolist()}; accepted: a pose at which "
-            "the robot fits and to which it could drive"
+            f"carried_to is {datum.round_to_map(faults.carried_to).tolist()}; accepted: a pose at "
+            "which the robot fits and to which it could drive"
         )
 
 
@@ -56,7 +56,7 @@ def landing(
     return jnp.append(frame.to_world(cell + 0.5), yaw)
 
 
-def carried(
+def carry(
     record: ExplorationRecord, robot: Dynamics, rest: StateVector, pose: Pose, is_carried: Flag
 ) -> ExplorationRecord:
     """Return the record of a step, with the robot at rest at `pose` if it is carried at its end.

@@ -39,21 +39,21 @@ def check_goal(
 ) -> None:
     """Check that a goal is in free space, and within `radius` [m] of a reachable cell's centre."""
     if float(probability_at(world, goal)) >= FREE_THRESHOLD:
-        raise ValueError(f"goal is {datum.shown(goal).tolist()}; accepted: a place in free space")
+        raise ValueError(
+            f"goal is {datum.round_to_map(goal).tolist()}; accepted: a place in free space"
+        )
     centres = np.argwhere(np.asarray(reachable)) + 0.5
     away = np.linalg.norm(centres - np.asarray(to_grid(world.frame, goal)), axis=-1)
     nearest = world.resolution * float(away.min())
     if nearest > radius:
         raise ValueError(
-            f"goal is {datum.shown(goal).tolist()}, which a robot of radius "
+            f"goal is {datum.round_to_map(goal).tolist()}, which a robot of radius "
             f"{float(robot.radius):g} m cannot reach from its start: {nearest:.2f} m is the "
             f"nearest it gets; accepted: a goal within {radius:g} m of where it can go"
         )
 
 
-def checked_targets(
-    targets: Rows | None, world: OccupancyGrid, datum: Datum
-) -> Float[Array, "M 2"]:
+def check_targets(targets: Rows | None, world: OccupancyGrid, datum: Datum) -> Float[Array, "M 2"]:
     """Check that targets are in free space, and return them (M, 2); M = 0 when absent."""
     if targets is None:
         return on_device(np.zeros((0, 2), np.float32))
@@ -72,11 +72,12 @@ def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid, datum: Datum
             or float(probability_at(world, jnp.asarray(spot))) >= FREE_THRESHOLD
         ):
             raise ValueError(
-                f"{name}[{index}] is {datum.shown(spot).tolist()}; accepted: a place in free space"
+                f"{name}[{index}] is {datum.round_to_map(spot).tolist()}; accepted: a place in "
+                "free space"
             )
 
 
-def checked_unknown(max_unknown: ArrayLike | None, *, is_apart: bool) -> Scalar:
+def check_unknown(max_unknown: ArrayLike | None, *, is_apart: bool) -> Scalar:
     """Check the share of unknown cells in [0, 1] below which a map is explored, or choose it.
 
     When absent, it is 1 if the goal has a cost-to-go of its own (`is_apart`), or else
@@ -87,7 +88,7 @@ def checked_unknown(max_unknown: ArrayLike | None, *, is_apart: bool) -> Scalar:
     return _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
 
 
-def checked_coverage(target_coverage: ArrayLike | None) -> Scalar:
+def check_coverage(target_coverage: ArrayLike | None) -> Scalar:
     """Check a target coverage in (0, 1]; when absent, return one that coverage never reaches."""
     if target_coverage is None:
         return on_device(np.asarray(2.0, np.float32))
@@ -103,7 +104,7 @@ def start_state(robot: Dynamics, pose: np.ndarray, altitude: float) -> StateVect
     return robot.with_component(state, "z", height)
 
 
-def checked_perception(
+def check_perception(
     perception: Perception | None,
     sensors: tuple[Sensor, ...],
     world: OccupancyGrid,
@@ -156,14 +157,16 @@ def checked_perception(
     return perception
 
 
-def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid, datum: Datum) -> OccupancyGrid:
+def check_prior(prior: OccupancyGrid | None, world: OccupancyGrid, datum: Datum) -> OccupancyGrid:
     """Check that a prior map has the cells of the world; when absent, return an unknown map."""
     if prior is None:
-        return OccupancyGrid.unknown(world.cropped(world.probability).shape, world.frame)
-    _check_shape("prior", prior.cropped(prior.probability).shape, world)
+        return OccupancyGrid.unknown(world.crop(world.probability).shape, world.frame)
+    _check_shape("prior", prior.crop(prior.probability).shape, world)
     is_near = np.allclose(prior.frame.origin, world.frame.origin, rtol=1e-6, atol=1e-6)
     if not is_near or prior.resolution != world.resolution:
-        given, accepted = (datum.shown(each.frame.origin).tolist() for each in (prior, world))
+        given, accepted = (
+            datum.round_to_map(each.frame.origin).tolist() for each in (prior, world)
+        )
         raise ValueError(
             f"prior has cells of {prior.resolution:g} m at {given}; "
             f"accepted: the world's, {world.resolution:g} m at {accepted}"
@@ -171,7 +174,7 @@ def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid, datum: Datu
     return prior
 
 
-def checked_faults(faults: Faults | None, world: OccupancyGrid) -> Faults | None:
+def check_faults(faults: Faults | None, world: OccupancyGrid) -> Faults | None:
     """Check that walls that appear have the shape of the world, and return the faults."""
     if faults is not None and faults.walls is not None:
         _check_shape("walls", faults.walls.shape, world)
@@ -179,7 +182,7 @@ def checked_faults(faults: Faults | None, world: OccupancyGrid) -> Faults | None
 
 
 def _check_shape(name: str, shape: tuple[int, ...], world: OccupancyGrid) -> None:
-    accepted = world.cropped(world.probability).shape
+    accepted = world.crop(world.probability).shape
     # A world that is padded already may come with parts that are.
     if shape not in (accepted, world.shape):
         raise ValueError(f"{name} has shape {shape}; accepted: the world's, {accepted}")

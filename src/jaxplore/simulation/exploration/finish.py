@@ -38,7 +38,7 @@ def has_coverage_target(target_coverage: Scalar) -> Flag:
     return target_coverage <= 1.0
 
 
-def chosen_target(target: str | None, *, has_coverage: bool, is_patrol: bool) -> str:
+def choose_target(target: str | None, *, has_coverage: bool, is_patrol: bool) -> str:
     """Return what an exploration ends by, one of `TARGETS`; chosen when absent.
 
     The choice is the target coverage if there is one. Otherwise it is nothing on a patrol, where

@@ -74,12 +74,12 @@ def frame_arrays(
     }
 
 
-def cropped_frame(arrays: Mapping[str, Any], world: OccupancyGrid, stride: int) -> dict[str, Any]:
+def crop_frame(arrays: Mapping[str, Any], world: OccupancyGrid, stride: int) -> dict[str, Any]:
     """Return the arrays of a frame, those with the shape of the map without the cells beside it.
 
     `stride` is the number of cells between the nodes of the information field.
     """
-    rows, columns = world.cropped(arrays["probability"]).shape
+    rows, columns = world.crop(arrays["probability"]).shape
     nodes = -(-rows // stride), -(-columns // stride)
     on_map = {
         "probability": arrays["probability"][:rows, :columns],

@@ -45,11 +45,11 @@ class TrueTrack(NamedTuple):
         poses = place.known.scans.poses
         return cls(poses, pose, poses, grid.probability)
 
-    def after_motion(self, motion: Pose) -> "TrueTrack":
+    def add_motion(self, motion: Pose) -> "TrueTrack":
         """Return the track after a motion by the odometry (dx, dy, dyaw) [m, m, rad]."""
         return self._replace(reckoned=compose(self.reckoned, motion))
 
-    def after_scans(self, before: PoseKnowledge, after: PoseKnowledge, pose: Pose) -> "TrueTrack":
+    def add_scans(self, before: PoseKnowledge, after: PoseKnowledge, pose: Pose) -> "TrueTrack":
         """Return the track with the poses of a scan, true and reckoned, if the robot stored it.
 
         `pose` is its true pose. `before` and `after` are what the robot knew of its pose before and
@@ -71,7 +71,7 @@ class TrueTrack(NamedTuple):
             poses=np.asarray(scans.poses, np.float64)[:number],
             reckoned=np.asarray(self.reckoned_poses, np.float64)[:number],
             way=np.asarray(scans.way, np.float64)[:number],
-            reference=grid.cropped(self.reference),
+            reference=grid.crop(self.reference),
             num_loops=int(known.closures.number) if isinstance(known, LocaliserState) else None,
         )
 
@@ -173,9 +173,9 @@ class Judge(NamedTuple):
         def add(former: Judged) -> tuple[Judged]:
             sums, _, is_seen, track = former
             if place is None or own.place is None or track is None:
-                sums = sums.changed(before, self.count_window(own.belief.grid, sight.pose))
+                sums = sums.update(before, self.count_window(own.belief.grid, sight.pose))
             else:
-                track = track.after_scans(place, own.place, pose)
+                track = track.add_scans(place, own.place, pose)
                 reference, sums = self._refer(track, sums, own, measured.scans, pose, is_mapped)
                 track = track._replace(reference=reference)
             if target_class is not None and own.belief.objects is not None:
@@ -206,7 +206,7 @@ class Judge(NamedTuple):
             for sensor, scan in zip(perception.sensors, scans, strict=True):
                 sighting = sensor.sight(reference, scan, pose, perception.ground)
                 reference = update_grid(reference, sighting, perception.sensor_model)
-            return reference.probability, sums.changed(before, self.count_window(reference, pose))
+            return reference.probability, sums.update(before, self.count_window(reference, pose))
 
         found: tuple[GridValues, MapSums] = jax.lax.cond(
             is_mapped, add, lambda *same: same, track.reference, sums

@@ -8,7 +8,7 @@ from jaxplore._types import GridMask
 from jaxplore._xla import on_device
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.maps.padding import padded_cells
+from jaxplore.maps.padding import pad_cells
 
 
 class MapArrays(NamedTuple):
@@ -23,15 +23,15 @@ class MapArrays(NamedTuple):
     reachable: GridMask
     ground: Ground | None
 
-    def padded(self, shape: tuple[int, int] | None = None) -> "MapArrays":
-        """Return the map in larger arrays, see `OccupancyGrid.padded`."""
-        world = self.world.padded(shape)
+    def pad(self, shape: tuple[int, int] | None = None) -> "MapArrays":
+        """Return the map in larger arrays, see `OccupancyGrid.pad`."""
+        world = self.world.pad(shape)
         same = world.shape
         return MapArrays(
             world,
-            self.prior.padded(same),
+            self.prior.pad(same),
             self.mask(self.reachable, same),
-            None if self.ground is None else self.ground.padded(same),
+            None if self.ground is None else self.ground.pad(same),
         )
 
     def mask(
@@ -39,17 +39,17 @@ class MapArrays(NamedTuple):
     ) -> Bool[Array, "rows columns"]:
         """Return a mask of cells of the map in arrays of a shape; that of the world by default."""
         shape = self.world.shape if shape is None else shape
-        return on_device(padded_cells("shape", self.world.cropped(cells), shape, False))
+        return on_device(pad_cells("shape", self.world.crop(cells), shape, False))
 
-    def cropped(self) -> "MapArrays":
+    def crop(self) -> "MapArrays":
         """Return the map in arrays of its own shape."""
         world = self.world
         if world.map_shape is None:
             return self
         ground = self.ground
         return MapArrays(
-            world.unpadded(),
-            self.prior.unpadded(),
-            on_device(world.cropped(self.reachable)),
-            None if ground is None else ground.cropped(world.unpadded().shape),
+            world.unpad(),
+            self.prior.unpad(),
+            on_device(world.crop(self.reachable)),
+            None if ground is None else ground.crop(world.unpad().shape),
         )

@@ -9,7 +9,7 @@ from jaxplore.geometry.chassis import Chassis
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_world import TrueWorld
-from jaxplore.simulation.exploration.wheels import Wheels, driven, stability, stood
+from jaxplore.simulation.exploration.wheels import Wheels, drive_on_wheels, stability, update_wheels
 
 
 def move(
@@ -33,12 +33,12 @@ def move(
     """
     moved = robot.step(state.robot, control, period)
     if state.wheels is not None:
-        moved = driven(state.wheels, robot, state.robot, moved)
-    stopped, is_collision = truth.stopped(robot, state.robot, moved, reach)
+        moved = drive_on_wheels(state.wheels, robot, state.robot, moved)
+    stopped, is_collision = truth.check_move(robot, state.robot, moved, reach)
     wheels = state.wheels
     if wheels is not None and chassis is not None:
         used = stability(chassis, truth, robot, stopped, control)
-        wheels = stood(wheels, used, period)
+        wheels = update_wheels(wheels, used, period)
     record = ExplorationRecord(
         state=stopped,
         control=control,
@@ -52,7 +52,7 @@ def move(
         members=info.members,
         targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
         stop=stop,
-        **({} if wheels is None else wheels.recorded()),
+        **({} if wheels is None else wheels.record_fields()),
         **_error(state, robot.pose(state.robot)),
     )
     return record, wheels

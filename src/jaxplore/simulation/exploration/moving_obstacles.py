@@ -126,7 +126,7 @@ class MovingDiscs(NamedTuple):
         """Return (x, y, radius) of each disc [m]."""
         return jnp.concatenate([self.positions, self.radius[:, None]], axis=-1)
 
-    def beside(self, moving: MovingObstacles | None, time: Scalar) -> "MovingDiscs":
+    def append_to(self, moving: MovingObstacles | None, time: Scalar) -> "MovingDiscs":
         """Return these discs after the moving obstacles of a world at a time [s]."""
         if moving is None:
             return self

@@ -20,7 +20,7 @@ class PlantedAnomalies(NamedTuple):
     kinds: Int[Array, " P"]
 
 
-def planted_anomalies(world: World) -> PlantedAnomalies | None:
+def find_anomalies(world: World) -> PlantedAnomalies | None:
     """Return the anomalies of a world: hidden and gone obstacles, and who walks where nobody may.
 
     A person's box holds the part of the path within the forbidden rectangle, and the radius.

@@ -50,7 +50,7 @@ class MapSums(NamedTuple):
             rest=jnp.zeros(()),
         )
 
-    def changed(self, before: "MapSums", after: "MapSums") -> "MapSums":
+    def update(self, before: "MapSums", after: "MapSums") -> "MapSums":
         """Return the sums of a map of which a window has changed from `before` to `after`."""
         # A map has a million nat, of which a scan changes some hundred. What is rounded off is
         # carried along (Kahan 1965), so that it does not add up over a run.

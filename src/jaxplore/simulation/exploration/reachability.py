@@ -37,7 +37,7 @@ def reachable_cells(
     free = _free_cells(world)
     place = np.asarray(to_grid(world.frame, np.asarray(start[:2], np.float32)))
     row, column = (int(index) for index in np.floor(place))
-    where = f"start is ({_shown(start[:2], datum)})"
+    where = f"start is ({_format_pose(start[:2], datum)})"
     if not (0 <= row < free.shape[0] and 0 <= column < free.shape[1]):
         corners = np.asarray(
             world.frame.to_world(
@@ -46,7 +46,7 @@ def reachable_cells(
                 )
             )
         )
-        ends = datum.shown(np.stack([corners.min(axis=0), corners.max(axis=0)]))
+        ends = datum.round_to_map(np.stack([corners.min(axis=0), corners.max(axis=0)]))
         x, y = (f"{_number(low)} to {_number(high)}" for low, high in ends.T.tolist())
         raise ValueError(f"{where}, off the map; accepted: free space within x {x}, y {y}")
     if not free[row, column]:
@@ -71,7 +71,7 @@ def reachable_cells(
         ]
         if corner.all() and row + down < free.shape[0] and column + right < free.shape[1]:
             near[max(0, row + down), max(0, column + right)] = True
-    labels = _connected(room, free)
+    labels = _label_connected(room, free)
     beginnings = np.unique(labels[near & room])
     # Seeds are cell centres, so the start between them may still touch something. Only the cells
     # around it are passed on, so that maps of all sizes share a program.
@@ -111,7 +111,7 @@ def drivable_cells(
     cells = reachable_cells(world, start, float(robot.radius), datum)
     if isinstance(perception.locomotion, TurnsOnTheSpot):
         return cells
-    padded = world.padded()
+    padded = world.pad()
     # With the clearance of its paths, so that coverage asks for nothing that they do not enter.
     lengths = np.asarray(
         _car_lengths(
@@ -133,10 +133,10 @@ def drivable_cells(
     length, width = _size(robot.footprint)
     if farthest < length:
         raise ValueError(
-            f"start is ({_shown(start, datum)}), from where a car of {length:g} m by {width:g} m "
-            f"with a turning radius of {float(robot.turning_radius):.2f} m gets {farthest:.1f} m "
-            "far at most; accepted: a start from which it gets at least its own length, or a "
-            "smaller car"
+            f"start is ({_format_pose(start, datum)}), from where a car of {length:g} m by "
+            f"{width:g} m with a turning radius of {float(robot.turning_radius):.2f} m gets "
+            f"{farthest:.1f} m far at most; accepted: a start from which it gets at least its own "
+            "length, or a smaller car"
         )
     return both
 
@@ -165,7 +165,7 @@ to_grid = jax.jit(GridFrame.to_grid)
 _clearance = functools.partial(jax.jit, static_argnames=("resolution", "reach"))(disc_clearance)
 
 
-def _connected(room: np.ndarray, free: np.ndarray) -> np.ndarray:
+def _label_connected(room: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Label the cells (H, W) of `room` that steps connect, from 1; 0 elsewhere.
 
     All cells that touch the corner of a diagonal step must be in `free`.
@@ -228,9 +228,9 @@ def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
     return float(str(x)), float(str(y))
 
 
-def _shown(pose: np.ndarray, datum: Datum) -> str:
+def _format_pose(pose: np.ndarray, datum: Datum) -> str:
     """Return a position or a pose in the coordinates of the map, for a message."""
-    return ", ".join(map(_number, datum.shown(pose).tolist()))
+    return ", ".join(map(_number, datum.round_to_map(pose).tolist()))
 
 
 def _number(value: float) -> str:
@@ -247,5 +247,5 @@ def _nearest(
     if cells.size == 0:
         return f"; this map has no place for a robot of radius {radius:g} m"
     centres = np.asarray(world.frame.cell_centre(jnp.asarray(cells)))
-    x, y = datum.shown(centres[np.argmin(np.hypot(*(centres - start[:2]).T))])
+    x, y = datum.round_to_map(centres[np.argmin(np.hypot(*(centres - start[:2]).T))])
     return f", for example ({x:.2f}, {y:.2f})"

@@ -53,7 +53,7 @@ def make_recording(
     """
     after: ExplorationState = run.state.task
     world, ground = arrays.world, arrays.ground
-    belief, moving, cropped = after.belief, after.moving_obstacles, after.belief.grid.cropped
+    belief, moving, cropped = after.belief, after.moving_obstacles, after.belief.grid.crop
     return ExplorationRecording(
         **run.common(period),
         **robot_fields(robot, start),

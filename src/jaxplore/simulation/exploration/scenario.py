@@ -54,24 +54,24 @@ from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Frame
 from jaxplore.robot.clock import whole_steps
-from jaxplore.robot.localisation import Localisation, corrected_state
+from jaxplore.robot.localisation import Localisation, correct_state
 from jaxplore.robot.robot import Robot
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.lidar import is_any_turning
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
-from jaxplore.simulation.exploration.carrying import carried, check_carrying, landing
+from jaxplore.simulation.exploration.carrying import carry, check_carrying, landing
 from jaxplore.simulation.exploration.finish import (
     NEVER,
     TARGETS,
-    chosen_target,
+    choose_target,
     default_give_up_after,
     default_objective,
     has_coverage_target,
     is_finished,
 )
-from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
+from jaxplore.simulation.exploration.frames import crop_frame, frame_arrays
 from jaxplore.simulation.exploration.instruments import Instruments
 from jaxplore.simulation.exploration.judge import Judge, thin
 from jaxplore.simulation.exploration.map_arrays import MapArrays
@@ -278,8 +278,8 @@ class ExplorationScenario(Scenario):
         check = GoalCheck.of((0.0, 0.0) if goal is None else goal, *ends)
         _, self.goal_radius, heading, self.goal_tolerance, self.goal_speed = check
         self.goal_heading = None if goal is None else heading
-        self.max_unknown = checks.checked_unknown(max_unknown, is_apart=is_apart)
-        perception = checks.checked_perception(
+        self.max_unknown = checks.check_unknown(max_unknown, is_apart=is_apart)
+        perception = checks.check_perception(
             perception,
             self.sensors,
             world,
@@ -292,10 +292,10 @@ class ExplorationScenario(Scenario):
         is_told = tracking_noise is not None or ground is not None
         if is_told or (self.moving_obstacles is not None and perception.tracker is None):
             perception = with_field(perception, "tracker", None if is_told else ObstacleTracker())
-        known = checks.checked_prior(prior, world, datum)
+        known = checks.check_prior(prior, world, datum)
         if localisation is not None:
             localisation.localiser.check_map(prior)
-        self.faults = checks.checked_faults(faults, world)
+        self.faults = checks.check_faults(faults, world)
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
@@ -303,7 +303,7 @@ class ExplorationScenario(Scenario):
         check_carrying(self.faults, world, reachable, datum)
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
-        self.targets = checks.checked_targets(targets, world, datum)
+        self.targets = checks.check_targets(targets, world, datum)
         self.objects = true_objects(self.targets, objects, perception.recognition, world, datum)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
@@ -311,8 +311,8 @@ class ExplorationScenario(Scenario):
         self.steps_per_field = whole_steps("field_rate", field_rate, rate)
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
-        self.target_coverage = checks.checked_coverage(target_coverage)
-        chosen = chosen_target(
+        self.target_coverage = checks.check_coverage(target_coverage)
+        chosen = choose_target(
             target, has_coverage=target_coverage is not None, is_patrol=perception.watch is not None
         )
         self.ends_by = on_device(np.asarray(TARGETS.index(chosen), np.int32))
@@ -320,7 +320,7 @@ class ExplorationScenario(Scenario):
         if give_up_after is None:
             give_up_after = default_give_up_after(world, robot)
         self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
-        self.map_arrays = MapArrays(world, known, reachable, ground).padded()
+        self.map_arrays = MapArrays(world, known, reachable, ground).pad()
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
         self.perception, self.planted = perception, planted
@@ -336,22 +336,22 @@ class ExplorationScenario(Scenario):
     @property
     def world(self) -> OccupancyGrid:
         """True map."""
-        return self.map_arrays.world.unpadded()
+        return self.map_arrays.world.unpad()
 
     @property
     def prior(self) -> OccupancyGrid:
         """Map that the robot knows in advance."""
-        return self.map_arrays.prior.unpadded()
+        return self.map_arrays.prior.unpad()
 
     @property
     def reachable(self) -> GridMask:
         """Mask (H, W) of the cells that the robot's centre can reach."""
-        return self.map_arrays.cropped().reachable
+        return self.map_arrays.crop().reachable
 
     @property
     def ground(self) -> Ground | None:
         """Ground of the map's cells; None if it is level."""
-        return self.map_arrays.cropped().ground
+        return self.map_arrays.crop().ground
 
     def __repr__(self) -> str:
         return describe_fields(self, "world", "robot", "sensors", "start", "goal", "period")
@@ -440,7 +440,7 @@ class ExplorationScenario(Scenario):
         )
         return state, state.belief
 
-    def measured(self, state: ExplorationState) -> StateVector:
+    def measure_state(self, state: ExplorationState) -> StateVector:
         """Return the state (nx,) that the robot takes to be its own; see `Localisation`."""
         place, odometer = state.own.place, state.odometer
         if self.localisation is None or place is None or odometer is None:
@@ -454,7 +454,7 @@ class ExplorationScenario(Scenario):
             return None
         return max(1, round(1.0 / (self.localisation.closing_rate * self.period)))
 
-    def revised(self, state: LoopState) -> LoopState:
+    def update_on_host(self, state: LoopState) -> LoopState:
         """Return the state with the map moved where a loop was closed."""
         task: ExplorationState = state.task
         before, track = task.own.place, task.judged.track
@@ -467,7 +467,7 @@ class ExplorationScenario(Scenario):
         if int(place.known.scans.number) < int(before.known.scans.number):
             track = thin(track)
         poses = before.known.pose, place.known.pose
-        moved = functools.partial(corrected_state, self.robot, before=poses[0], after=poses[1])
+        moved = functools.partial(correct_state, self.robot, before=poses[0], after=poses[1])
         guard = state.guard
         if guard is not None:
             # The correction is no jump of the robot.
@@ -486,11 +486,11 @@ class ExplorationScenario(Scenario):
         sight = sensed.sight.correct(own.place)
         own = onboard.update_fields(own, sensed.measured, sight)
         state = sensed.state._replace(own=own)
-        place = self.robot.position(self.measured(state))
+        place = self.robot.position(self.measure_state(state))
         state = state._replace(own=onboard.learn(own, sensed.measured, place))
         if self.counts_walls:
             walls = state.own.knowledge.walls
-            state = state._replace(gain=gain.after(walls, self.control_period))
+            state = state._replace(gain=gain.update(walls, self.control_period))
         return state, state.belief
 
     def sense(
@@ -528,7 +528,7 @@ class ExplorationScenario(Scenario):
             find=lambda: self.sensors[0].sees(truth.grid, pose, self.targets, truth.ground),
             target_class=None if recognition is None else recognition.target,
         )
-        gain = state.gain.after(judged.progress.coverage, self.control_period)
+        gain = state.gain.update(judged.progress.coverage, self.control_period)
         state = state._replace(own=own, judged=judged, gain=gain, ranges=ranges)
         return Sensed(state, measured, sight)
 
@@ -589,11 +589,11 @@ class ExplorationScenario(Scenario):
             place = self.localisation.predict(own.place, increment, self.control_period)
             own = own._replace(place=place)
             if judged.track is not None:
-                judged = judged._replace(track=judged.track.after_motion(increment))
+                judged = judged._replace(track=judged.track.add_motion(increment))
         if self.faults is not None and state.landing is not None:
             # After the odometry has measured the step: it does not notice.
             is_carried = self.faults.is_carried(moment.time, self.control_period)
-            record = carried(record, self.robot, self.start, state.landing, is_carried)
+            record = carry(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
         state = state.after_step(record.state, control)._replace(
             own=own, judged=judged, motion=motion, wheels=wheels, odometer=odometer
@@ -623,7 +623,7 @@ class ExplorationScenario(Scenario):
         check, is_there = self.goal_check, None
         if check is not None:
             # A robot that finds its pose is where it takes itself to be.
-            is_there = check.is_reached(self.robot.pose(self.measured(state)), state.motion)
+            is_there = check.is_reached(self.robot.pose(self.measure_state(state)), state.motion)
         end = (self.ends_by, self.target_coverage, state.own.knowledge, is_there, self.max_unknown)
         return is_finished(state.progress, state.is_seen, *end, counts_walls=self.counts_walls)
 
@@ -667,7 +667,7 @@ class ExplorationScenario(Scenario):
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
         stride = self.perception.field_sensor.stride
-        return super().make_frame(step, cropped_frame(arrays, self.map_arrays.world, stride))
+        return super().make_frame(step, crop_frame(arrays, self.map_arrays.world, stride))
 
     def agent_view(self, view_cells: int | None) -> ExplorationView:
         """Return exploration as an agent sees it."""
@@ -691,7 +691,7 @@ class ExplorationScenario(Scenario):
     ) -> ExplorationRecording:
         """Make the recording of a run."""
         names = () if controller is None else controller.member_names
-        parts = (self.map_arrays.cropped(), self.robot, self.start, self.period)
+        parts = (self.map_arrays.crop(), self.robot, self.start, self.period)
         end = (self.goal, self.target, self.target_coverage, self.targets)
         planted, how = self.planted, self.perception.recognition
         after: ExplorationState = run.state.task
@@ -702,7 +702,7 @@ class ExplorationScenario(Scenario):
             *(before, run, *parts, *end, names, planted, self.objects, how, place),
             is_given_up=is_given_up,
         )
-        return local.moved(self.datum.offset)
+        return local.move(self.datum.offset)
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""

@@ -125,7 +125,7 @@ class TrueWorld(eqx.Module):
         gap = discs_clearance(there, radii, position, heading, robot.footprint)
         return jnp.minimum(room, gap)
 
-    def stopped(
+    def check_move(
         self, robot: Dynamics, before: StateVector, after: StateVector, reach: int
     ) -> tuple[StateVector, Flag]:
         """Return the state (nx,) after a move, and whether the move would have led to a collision.
@@ -136,7 +136,7 @@ class TrueWorld(eqx.Module):
         is_finite = jnp.all(jnp.isfinite(after))
         is_collision = is_finite & (self.clearance(robot, after, reach) < 0.0)
         moved = jnp.where(is_finite, after, before)
-        return jnp.where(is_collision, robot.blocked(before, after), moved), is_collision
+        return jnp.where(is_collision, robot.resolve_collision(before, after), moved), is_collision
 
     def is_untraversable(self, robot: Dynamics, state: StateVector, reach: int) -> Flag:
         """Check whether part of the robot is on untraversable ground; see `clearance`."""

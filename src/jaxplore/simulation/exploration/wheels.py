@@ -39,7 +39,7 @@ class Wheels(NamedTuple):
         # Half a millisecond of tolerance: times are sums of rounded periods.
         return self.tipping >= TIPPING_TIME - 5e-4
 
-    def recorded(self) -> dict[str, Any]:
+    def record_fields(self) -> dict[str, Any]:
         """Return the fields of an `ExplorationRecord`, by name."""
         return {
             "load_transfer": jnp.maximum(self.used.across, self.used.along),
@@ -62,7 +62,9 @@ def stability(
     return chassis.stability(stance, *robot.acceleration(state, control))
 
 
-def driven(wheels: Wheels, robot: Dynamics, before: StateVector, after: StateVector) -> StateVector:
+def drive_on_wheels(
+    wheels: Wheels, robot: Dynamics, before: StateVector, after: StateVector
+) -> StateVector:
     """Return where the vehicle gets to on its wheels (nx,).
 
     With a wheel in the air, `1 - TRACTION` of the displacement is lost. A vehicle that has tipped
@@ -71,10 +73,10 @@ def driven(wheels: Wheels, robot: Dynamics, before: StateVector, after: StateVec
     moves = jnp.asarray([name in ("x", "y", "yaw") for name in robot.state_names])
     slipped = jnp.where(moves, before + TRACTION * (after - before), after)
     moved = jnp.where(wheels.used.is_hanging, slipped, after)
-    return jnp.where(wheels.is_tipped, robot.blocked(before, before), moved)
+    return jnp.where(wheels.is_tipped, robot.resolve_collision(before, before), moved)
 
 
-def stood(wheels: Wheels, used: Stability, period: Scalar) -> Wheels:
+def update_wheels(wheels: Wheels, used: Stability, period: Scalar) -> Wheels:
     """Return the vehicle on its wheels one period [s] later; `used` is how much is used then."""
     longer = jnp.where(used.is_tipped, wheels.tipping + period, 0.0)
     return Wheels(used, jnp.where(wheels.is_tipped, wheels.tipping, longer))

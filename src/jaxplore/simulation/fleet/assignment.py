@@ -55,7 +55,7 @@ def cluster_costs(lengths: np.ndarray, clusters: Sequence[np.ndarray], stride: i
     return np.stack(costs, axis=1) if costs else np.zeros((len(lengths), 0))
 
 
-def assigned(costs: np.ndarray) -> np.ndarray:
+def assign_clusters(costs: np.ndarray) -> np.ndarray:
     """Assign a cluster to each robot (N,), such that the sum of the costs is least; -1 for none.
 
     With C clusters, C robots get one each if there are more robots, and no cluster goes to two
@@ -92,7 +92,7 @@ def with_assignments(
         costs = cluster_costs(lengths[i][is_heard], clusters, stride)
         # The place of this robot among those that it has heard.
         own = int(np.sum(is_heard[:i]))
-        chosen = assigned(costs)[own] if is_heard[i] and costs.size else -1
+        chosen = assign_clusters(costs)[own] if is_heard[i] and costs.size else -1
         claims = np.zeros(lengths.shape[2:], np.float32)
         if chosen >= 0:
             claims = ELSEWHERE * (_nearest_cluster(clusters, claims.shape, stride) != chosen)

@@ -11,7 +11,7 @@ from jaxplore.simulation.exploration.finish import NEVER
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
-def checked_members(
+def check_members(
     robots: ExplorationScenario | Sequence[ExplorationScenario], starts: Rows | None
 ) -> tuple[ExplorationScenario, ...]:
     """Return the exploration of each robot of a fleet.

@@ -23,7 +23,7 @@ class Parted(NamedTuple):
     gap: Float[Array, " N"]
 
 
-def parted(
+def stop_touching(
     formation: Formation,
     radii: Float[Array, " N"],
     before: Sequence[Array],
@@ -49,19 +49,19 @@ def parted(
         offset = mine[:, None] - others[None, :]
         return jnp.sqrt(jnp.sum(offset * offset, axis=-1)) - room
 
-    def touching(stopped: Bool[Array, " N"]) -> Bool[Array, " N"]:
+    def find_touching(stopped: Bool[Array, " N"]) -> Bool[Array, " N"]:
         others = jnp.where(stopped[:, None], places[0], places[1])
         return stopped | (gaps(places[1], others) < 0.0).any(axis=1)
 
     def more(carry: tuple[Bool[Array, " N"], Bool[Array, " N"]]) -> tuple[Array, Array]:
-        return carry[1], touching(carry[1])
+        return carry[1], find_touching(carry[1])
 
     nobody = jnp.zeros(count, bool)
     stopped, _ = jax.lax.while_loop(
-        lambda carry: jnp.any(carry[0] != carry[1]), more, (nobody, touching(nobody))
+        lambda carry: jnp.any(carry[0] != carry[1]), more, (nobody, find_touching(nobody))
     )
     states = tuple(
-        jnp.where(is_stopped, robot.blocked(old, new), new)
+        jnp.where(is_stopped, robot.resolve_collision(old, new), new)
         for robot, old, new, is_stopped in zip(
             formation.robots, before, moved, stopped, strict=True
         )
@@ -70,7 +70,7 @@ def parted(
     return Parted(states, stopped, gaps(final, final).min(axis=1))
 
 
-def planned_positions(
+def predict_positions(
     formation: Formation,
     states: Sequence[Array],
     controls: Float[Array, "T nu"],

@@ -15,7 +15,7 @@ from jaxplore._alike import Alike
 from jaxplore._types import ArrayLike, Count, Flag, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.claims import claim_cost, trust_in
-from jaxplore.belief.merging import merged_map, own_change
+from jaxplore.belief.merging import log_odds_change, merge_maps
 from jaxplore.control.fleet_share import Share
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -119,7 +119,7 @@ def newest(version: Int[Array, "N N"], links: Bool[Array, "N N"]) -> Int[Array, 
 
 
 class Taken(NamedTuple):
-    """What each robot (first axis) has of each robot (second axis), as the result of `taken`.
+    """What each robot (first axis) has of each robot (second axis), as the result of `take_values`.
 
     `is_news` (N, ...) says where any of it differs from what the robot had. `number` is how many
     values differ, of all robots.
@@ -130,7 +130,7 @@ class Taken(NamedTuple):
     number: Scalar
 
 
-def taken(
+def take_values(
     values: Float[Array, "N N *A"], source: Int[Array, "N N"], version: Int[Array, "N N"]
 ) -> Taken:
     """Return `values[source[i, k], k]` for each robot i and each robot k that is known.
@@ -209,14 +209,14 @@ def exchange(
     every = jnp.arange(number)
     grids = [each.belief.grid.probability for each in members]
     changes = [
-        own_change(one.perception.sensor_model, old, now)
+        log_odds_change(one.perception.sensor_model, old, now)
         for one, old, now in zip(scenarios, merged, grids, strict=True)
     ]
-    own = jnp.stack(share.gathered(changes))
+    own = jnp.stack(share.gather(changes))
     log_odds = heard.log_odds.at[every, every].add(own)
     version = heard.version.at[every, every].set(step)
     source = newest(version, links)
-    received, is_news, cells = taken(log_odds, source, version)
+    received, is_news, cells = take_values(log_odds, source, version)
     sent = CELL_BYTES * cells
     # Beyond the clamp, what a robot adds to its map is not what it adds to the sum. So cells of its
     # own scans follow the sum as well, and robots that have heard the same agree.
@@ -227,7 +227,7 @@ def exchange(
     ) -> tuple[GridValues, GridValues, MapSums, Float[Array, "rows columns"] | None]:
         perception, reachable = one.perception, one.map_arrays.reachable
         prior, before = one.map_arrays.prior.probability, belief.grid.probability
-        probability = merged_map(
+        probability = merge_maps(
             perception.sensor_model,
             prior,
             by_identity(received[row], identity),
@@ -262,8 +262,8 @@ def exchange(
     maps = tuple(probability for probability, *_ in found)
     told = heard.lengths
     if with_lengths:
-        lengths = share.gathered([each[-1] for each in found])
-        told, *_ = taken(told.at[every, every].set(jnp.stack(lengths)), source, version)
+        lengths = share.gather([each[-1] for each in found])
+        told, *_ = take_values(told.at[every, every].set(jnp.stack(lengths)), source, version)
         is_told = (source != every[:, None])[:, :, None, None] & jnp.isfinite(told)
         sent = sent + NODE_BYTES * jnp.sum(is_told, dtype=jnp.float32)
     version = version[source, every[None, :]]

@@ -19,7 +19,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.fleet.state import FleetState
 
 
-def known_together(maps: Sequence[GridValues]) -> GridValues:
+def merge_known(maps: Sequence[GridValues]) -> GridValues:
     """Return of each cell the probability (H, W) that is the farthest from 1/2 on any map."""
     known = maps[0]
     for other in maps[1:]:
@@ -40,11 +40,11 @@ def fleet_frame(
     plans = jnp.zeros((number, 0, 2))
     if plan is not None:
         plans = jnp.swapaxes(jax.vmap(robot.positions)(plan.nominal.states), 0, 1)
-    maps = share.gathered([each.belief.grid.probability for each in state.members])
+    maps = share.gather([each.belief.grid.probability for each in state.members])
     return {
         "positions": robot.positions(state.robot),
         "headings": jnp.stack(headings),
-        "probability": jnp.round(255.0 * known_together(maps)).astype(jnp.uint8),
+        "probability": jnp.round(255.0 * merge_known(maps)).astype(jnp.uint8),
         "plans": plans,
         "links": jnp.zeros((number, number), bool) if links is None else links,
     }
@@ -64,14 +64,14 @@ def make_recording(
 ) -> FleetRecording:
     """Make the recording of a run; `before` is the state before the first step."""
     after: FleetState = run.state.task
-    arrays = scenarios[0].map_arrays.cropped()
+    arrays = scenarios[0].map_arrays.crop()
     grid = after.members[0].belief.grid
-    own = [grid.cropped(each.belief.grid.probability) for each in after.members]
-    maps = share.gathered_here(own)
+    own = [grid.crop(each.belief.grid.probability) for each in after.members]
+    maps = share.gather_on_host(own)
     return FleetRecording(
         **run.common(period),
         world=np.asarray(arrays.world.probability),
-        belief=np.asarray(known_together([jnp.asarray(each) for each in maps])),
+        belief=np.asarray(merge_known([jnp.asarray(each) for each in maps])),
         beliefs=np.round(255.0 * np.stack(maps)).astype(np.uint8),
         reachable=np.asarray(arrays.reachable),
         origin=np.asarray(arrays.world.frame.origin),

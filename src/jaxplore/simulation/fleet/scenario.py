@@ -17,9 +17,9 @@ from jaxplore._xla import on_device
 from jaxplore.belief.gain import Gain
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.fleet_controller import FleetBelief, robot_keys
-from jaxplore.control.fleet_share import Share, checked_share
+from jaxplore.control.fleet_share import Share, check_share
 from jaxplore.dynamics.formation import Formation, extent
-from jaxplore.report.fleet.data import FleetFrame, FleetRecord, moved_records
+from jaxplore.report.fleet.data import FleetFrame, FleetRecord, move_records
 from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.robot.clock import whole_steps
@@ -28,13 +28,13 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
-from jaxplore.simulation.fleet.checks import checked_members, identities
-from jaxplore.simulation.fleet.contact import parted
+from jaxplore.simulation.fleet.checks import check_members, identities
+from jaxplore.simulation.fleet.contact import stop_touching
 from jaxplore.simulation.fleet.motion import moves
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
 from jaxplore.simulation.fleet.senses import TeamSenses
-from jaxplore.simulation.fleet.starts import checked_starts
+from jaxplore.simulation.fleet.starts import check_starts
 from jaxplore.simulation.fleet.state import FleetState
 from jaxplore.simulation.fleet.talk import Talk
 from jaxplore.simulation.scenario import Inspect, Scenario
@@ -114,14 +114,14 @@ class Fleet(Scenario):
         plan_length: int = 40,
     ) -> None:
         _kinds.instance("radio", radio, Radio, may_be_none=True)
-        members = checked_members(robots, starts)
+        members = check_members(robots, starts)
         self.explorations = Alike(members).map(ExplorationScenario.with_target_coverage)
         if len(members) > 1:
             # The others tell where they are, so there is nothing to be found in scans.
             told = self.explorations.map(ExplorationScenario.with_told_obstacles)
             self.explorations = told
         first = self.members[0]
-        poses = checked_starts(self.members, starts)
+        poses = check_starts(self.members, starts)
         self.robot = Formation([each.robot for each in self.members])
         states = [
             # A start that is not given stays the exploration's own, with its altitude.
@@ -168,7 +168,7 @@ class Fleet(Scenario):
         Raises:
             ValueError: robots that are not all equal, or one alone.
         """
-        checked_share(share, self.explorations.kinds, "robots")
+        check_share(share, self.explorations.kinds, "robots")
         return with_field(self, "share", share)
 
     @property
@@ -193,12 +193,12 @@ class Fleet(Scenario):
             return None
         return int(self.steps_per_exchange)
 
-    def revised(self, state: LoopState) -> LoopState:
+    def update_on_host(self, state: LoopState) -> LoopState:
         """Return the state with the clusters of frontier cells assigned anew, on the host."""
         task: FleetState = state.task
         assert task.team is not None
         members = with_assignments(
-            self.share.own(self.members), task.members, self.share.mine, task.team.heard
+            self.share.select(self.members), task.members, self.share.mine, task.team.heard
         )
         return state._replace(task=task._replace(members=members))
 
@@ -212,7 +212,7 @@ class Fleet(Scenario):
 
         # One compiled body for equal robots: once in a run, copies of their maps do not matter.
         own = self.explorations.at(self.share.mine)
-        begun = own.each(begin, self.share.own(starts))
+        begun = own.each(begin, self.share.select(starts))
         for index, alone in zip(self.share.mine, begun, strict=True):
             members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
         coverage, team = members[0].progress.coverage, None
@@ -233,7 +233,7 @@ class Fleet(Scenario):
     ) -> tuple[FleetState, FleetBelief]:
         """Let each robot scan and derive its fields, and let the robots tell what they know."""
         state = self._talk.exchange_when_due(state, moment)
-        own = self.share.own
+        own = self.share.select
         here = TeamSenses(self.explorations.at(self.share.mine), self.share.mine, self.identity)
         members = here.perceive(
             state.members,
@@ -247,7 +247,7 @@ class Fleet(Scenario):
             known = known._replace(coverage=members[0].progress.coverage)
         else:
             known = self._talk.tell_when_due(known, known.team, moment)
-        known = known._replace(gain=state.gain.after(known.coverage, self.control_period))
+        known = known._replace(gain=state.gain.update(known.coverage, self.control_period))
         return known, self._belief(known)
 
     def advance(
@@ -267,15 +267,15 @@ class Fleet(Scenario):
         sent, links = jnp.zeros(()), jnp.zeros((), jnp.int32)
         coverages = state.members[0].progress.coverage[None]
         if team is not None:
-            apart = parted(self.robot, self.radii, before, moved)
+            apart = stop_touching(self.robot, self.radii, before, moved)
             moved, contact = list(apart.states), apart.is_contact
             clearance = jnp.minimum(clearance, apart.gap)
             sent, links, coverages = team.sent, team.links, team.coverages
-            team = self._talk.planned(team, state.robot, moved, moment.step, info)
+            team = self._talk.update_plans(team, state.robot, moved, moment.step, info)
         members = tuple(
             each.after_step(robot, given)
             for each, robot, given in zip(
-                state.members, self.share.own(moved), self.share.own(controls), strict=True
+                state.members, self.share.select(moved), self.share.select(controls), strict=True
             )
         )
         joint = jnp.concatenate(moved)
@@ -320,7 +320,7 @@ class Fleet(Scenario):
         same: Fleet = eqx.tree_at(lambda at: at.explorations, self, batched)
         return same
 
-    def varied(self, variation: Any) -> "Fleet":
+    def with_variation(self, variation: Any) -> "Fleet":
         """Return the scenario itself: the robots of a fleet do not vary.
 
         Raises:
@@ -328,7 +328,7 @@ class Fleet(Scenario):
         """
         return self._without_part("variation", variation)
 
-    def guarded(self, guard: Any) -> "Fleet":
+    def with_guard(self, guard: Any) -> "Fleet":
         """Return the scenario itself: the robots of a fleet have no guard.
 
         Raises:
@@ -375,11 +375,11 @@ class Fleet(Scenario):
             self.coordination,
             is_given_up=bool(self.is_given_up(run.state.task)),
         )
-        return local.moved(self.datum.offset)
+        return local.move(self.datum.offset)
 
     def records_on_map(self, records: Any) -> Any:
         """Return records in NumPy, with the states of all robots in the map's coordinates."""
-        return moved_records(records, self.datum.offset, self.robot.state_names)
+        return move_records(records, self.datum.offset, self.robot.state_names)
 
     @property
     def _talk(self) -> Talk:

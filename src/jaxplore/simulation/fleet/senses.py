@@ -69,7 +69,7 @@ class TeamSenses(NamedTuple):
         states = [each.state for each in scanned]
         known = jax.lax.cond(
             rates.is_scan_due(moment.step),
-            lambda *given: self._tracked(moment, *given),
+            lambda *given: self._track_obstacles(moment, *given),
             lambda obstacles, *_: obstacles,
             [each.belief.obstacles for each in states],
             [each.moving_obstacles for each in states],
@@ -82,13 +82,13 @@ class TeamSenses(NamedTuple):
         beliefs: list[Belief] = []
         for one, sensed, obstacles in zip(scenarios, scanned, known, strict=True):
             belief = dataclasses.replace(sensed.state.belief, obstacles=obstacles)
-            inform = functools.partial(_informed, one)
+            inform = functools.partial(_update_information, one)
             beliefs += when_due(is_due, sensed.sight.is_placed, inform, (belief,))
         # What reads an information field is apart from what changes it in place: within one branch
         # XLA would copy the field of every robot, twice.
         guided = jax.lax.cond(
             is_due,
-            self._guided,
+            self._update_guidance,
             lambda beliefs, *_: [_guidance(each) for each in beliefs],
             beliefs,
             [each.sight.pose for each in scanned],
@@ -99,7 +99,7 @@ class TeamSenses(NamedTuple):
             for each, belief, fields in zip(scanned, beliefs, guided, strict=True)
         )
 
-    def _tracked(
+    def _track_obstacles(
         self, moment: Moment, known: Sequence[Obstacles], *rows: Sequence[Any]
     ) -> list[Obstacles]:
         """Return the obstacles of each robot after a measurement of those in sight."""
@@ -125,7 +125,7 @@ class TeamSenses(NamedTuple):
 
         return self.explorations.each(track, known, *rows)
 
-    def _guided(
+    def _update_guidance(
         self, beliefs: Sequence[Belief], poses: Sequence[Pose], is_placed: Sequence[Flag]
     ) -> list[dict[str, Any]]:
         """Return the guidance of each robot, and what else follows from its information."""
@@ -135,7 +135,7 @@ class TeamSenses(NamedTuple):
             belief = dataclasses.replace(belief, grid=one.map_arrays.prior)
             after: Belief = jax.lax.cond(
                 placed,
-                lambda same: one.perception.guided(same, pose, one.rates.since_fields),
+                lambda same: one.perception.update_guidance(same, pose, one.rates.since_fields),
                 lambda same: same,
                 belief,
             )
@@ -150,9 +150,9 @@ class TeamSenses(NamedTuple):
         return self.explorations.each(guide, small, poses, is_placed)
 
 
-def _informed(one: ExplorationScenario, belief: Belief) -> tuple[Belief]:
+def _update_information(one: ExplorationScenario, belief: Belief) -> tuple[Belief]:
     """Return the belief of a robot with the information field of its map."""
-    return (one.perception.informed(belief),)
+    return (one.perception.update_information(belief),)
 
 
 def _guidance(belief: Belief) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def _among(truth: TrueWorld, moving: MovingObstacles | None, around: MovingDiscs
     seen: TrueWorld = eqx.tree_at(
         lambda at: at.moving,
         truth,
-        around.beside(moving, truth.time),
+        around.append_to(moving, truth.time),
         is_leaf=lambda leaf: leaf is None,
     )
     return seen

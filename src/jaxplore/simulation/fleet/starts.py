@@ -60,7 +60,7 @@ def near_starts(scenario: ExplorationScenario, number: int) -> np.ndarray:
     return np.column_stack([chosen, np.full(number, first[2])]).astype(np.float32)
 
 
-def checked_starts(scenarios: Sequence[ExplorationScenario], starts: Rows | None) -> np.ndarray:
+def check_starts(scenarios: Sequence[ExplorationScenario], starts: Rows | None) -> np.ndarray:
     """Return the starts (N, 3) of a fleet [m, m, rad]; those of the scenarios when absent.
 
     Raises:
@@ -82,7 +82,7 @@ def checked_starts(scenarios: Sequence[ExplorationScenario], starts: Rows | None
         reachable = np.asarray(one.reachable)
         is_on_map = (cell >= 0).all() and (cell < reachable.shape).all()
         if not (is_on_map and reachable[tuple(cell)]):
-            x, y = one.datum.shown(pose[:2]).tolist()
+            x, y = one.datum.round_to_map(pose[:2]).tolist()
             raise ValueError(
                 f"starts[{index}] is ({x:g}, {y:g}); accepted: free space that the first robot can "
                 "reach"

@@ -19,7 +19,7 @@ from jaxplore.dynamics.formation import Formation
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.fleet.contact import planned_positions
+from jaxplore.simulation.fleet.contact import predict_positions
 from jaxplore.simulation.fleet.radio import Exchanged, Heard, Radio, exchange
 from jaxplore.simulation.fleet.rows import others
 from jaxplore.simulation.fleet.state import FleetState, Team
@@ -76,7 +76,7 @@ class Talk(NamedTuple):
         rows, columns = belief.information.total.shape
         nodes = (rows, columns) if self.coordination != "none" else (1, 1)
         # The cells below a robot, which it knows to be free from the start, are news to the others.
-        own = self.share.own(self.members)
+        own = self.share.select(self.members)
         priors = tuple(each.map_arrays.prior.probability for each in own)
         return Team(
             Heard.nothing(number, belief.grid.shape, nodes),
@@ -85,12 +85,14 @@ class Talk(NamedTuple):
             jnp.zeros((number, 2)),
             jnp.zeros(()),
             jnp.zeros((), jnp.int32),
-            self._known(members)[1],
+            self._measure_coverage(members)[1],
         )
 
-    def _known(self, members: Sequence[ExplorationState]) -> tuple[Scalar, Float[Array, " N"]]:
+    def _measure_coverage(
+        self, members: Sequence[ExplorationState]
+    ) -> tuple[Scalar, Float[Array, " N"]]:
         """Return the coverage of all robots together and that of each."""
-        rows = self.share.gathered(
+        rows = self.share.gather(
             [(each.belief.grid.is_free, each.progress.coverage) for each in members]
         )
         known = functools.reduce(jnp.logical_or, [is_free for is_free, _ in rows])
@@ -101,7 +103,7 @@ class Talk(NamedTuple):
 
     def coverage(self, members: Sequence[ExplorationState]) -> Scalar:
         """Return the share of the reachable cells that some robot knows to be free."""
-        return self._known(members)[0]
+        return self._measure_coverage(members)[0]
 
     def discs(self, state: FleetState) -> MovingDiscs | None:
         """Return all robots as discs that move; None for a robot alone."""
@@ -114,7 +116,7 @@ class Talk(NamedTuple):
         """Return which robots hear each other."""
         positions = self.robot.positions(state.robot)
 
-        def seen(one: ExplorationScenario, robot: StateVector) -> Bool[Array, " N"]:
+        def find_seen(one: ExplorationScenario, robot: StateVector) -> Bool[Array, " N"]:
             # What moves hides no robot from the radio.
             truth, pose = one.world_at(None, moment), one.robot.pose(robot)
             views = [
@@ -122,7 +124,7 @@ class Talk(NamedTuple):
             ]
             return jnp.stack(views).any(axis=0)
 
-        sees = self.explorations.each(seen, self.robot.split_state(state.robot))
+        sees = self.explorations.each(find_seen, self.robot.split_state(state.robot))
         return self.radio.links(positions, jnp.stack(sees))
 
     def exchange_when_due(self, state: FleetState, moment: Moment) -> FleetState:
@@ -150,7 +152,7 @@ class Talk(NamedTuple):
                     heard,
                     merged,
                     self.links(state._replace(members=members), moment),
-                    self.share.own(poses),
+                    self.share.select(poses),
                     moment.step,
                     moment.time,
                     with_lengths=has_ways,
@@ -188,10 +190,10 @@ class Talk(NamedTuple):
                 zero = jnp.zeros(())
                 told = obstacles.update(rows(places), rows(team.velocities), heard, zero, zero)
                 assert told.plans is not None
-                plans = told.plans.told(rows(team.plans), heard)
+                plans = told.plans.update(rows(team.plans), heard)
                 after.append(dataclasses.replace(told, plans=plans))
             number = jnp.sum(links, dtype=jnp.int32) // 2
-            return tuple(after), *self._known(state.members), number
+            return tuple(after), *self._measure_coverage(state.members), number
 
         obstacles = tuple(each.belief.obstacles for each in state.members)
         known, coverage, coverages, links = jax.lax.cond(
@@ -222,7 +224,7 @@ class Talk(NamedTuple):
         reach = distance(plans - places[:, None]).max(axis=-1) + self.radii + BESIDE
         return distance(places[:, None] - places[None, :]) < reach[:, None] + reach[None, :]
 
-    def planned(
+    def update_plans(
         self,
         team: Team,
         before: StateVector,
@@ -237,7 +239,7 @@ class Talk(NamedTuple):
 
         def plan(_: Array) -> Array:
             size = self.plan_length + 1
-            return planned_positions(self.robot, moved, info.controls, size, self.plan_step)
+            return predict_positions(self.robot, moved, info.controls, size, self.plan_step)
 
         plans = jax.lax.cond(is_due, plan, lambda same: same, team.plans)
         return team._replace(plans=plans, velocities=change / self.members[0].control_period)

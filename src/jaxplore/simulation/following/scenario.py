@@ -197,18 +197,18 @@ class PathScenario(Scenario):
 
     def obstacles(self, time: Scalar, *, key: Key) -> Obstacles | None:
         """Return the tracked obstacles at a time since the start [s]; None without any."""
-        known = [] if self.traffic is None else [self._tracked(self.traffic.at(time), key)]
+        known = [] if self.traffic is None else [self._track(self.traffic.at(time), key)]
         if self.standing is not None:
             known.append(Obstacles(self.standing))
         return functools.reduce(operator.add, known) if known else None
 
-    def _dated(self, known: Obstacles | None) -> Obstacles | None:
+    def _add_age(self, known: Obstacles | None) -> Obstacles | None:
         """Add an age to the obstacles if the tracker may fail: measurements can grow old then."""
         if self.faults is None or known is None:
             return known
-        return known.after(jnp.zeros(()))
+        return known.advance(jnp.zeros(()))
 
-    def _tracked(self, truth: Obstacles, key: Key) -> Obstacles:
+    def _track(self, truth: Obstacles, key: Key) -> Obstacles:
         """Measure the obstacles with noise, and set the uncertainty of their prediction."""
         keys, size = jax.random.split(key), truth.velocities.shape
         position_std, velocity_std = self.tracking_noise
@@ -232,7 +232,7 @@ class PathScenario(Scenario):
     def init(self, key: Key | None) -> tuple[PathState, Belief | None]:
         """Return the initial state, and the belief with the true obstacles. Nothing is random."""
         phi, start = self.robot.component(self.start, "phi"), jnp.zeros(())
-        truth = self._dated(self.true_obstacles(start))
+        truth = self._add_age(self.true_obstacles(start))
         state = PathState(self.start, phi, jnp.sum(self.stops < phi, dtype=jnp.int32), truth)
         return state, self._belief(state)
 
@@ -240,10 +240,10 @@ class PathScenario(Scenario):
         self, state: PathState, moment: Moment, key: Key
     ) -> tuple[PathState, Belief | None]:
         """Measure the obstacles, or predict them during a dropout."""
-        known = self._dated(self.obstacles(moment.time, key=key))
+        known = self._add_age(self.obstacles(moment.time, key=key))
         if self.faults is not None and known is not None and state.known is not None:
-            # By `_dated` all obstacles have an age, so both have the same leaves to choose from.
-            predicted = state.known.after(self.control_period)
+            # By `_add_age` all obstacles have an age, so both have the same leaves to choose from.
+            predicted = state.known.advance(self.control_period)
             known = jax.tree.map(functools.partial(jnp.where, moment.is_blind), predicted, known)
         state = state._replace(known=known)
         return state, self._belief(state)
@@ -384,7 +384,7 @@ class PathScenario(Scenario):
             is_closed=path.is_closed,
             obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
         )
-        return local.moved(self.datum.offset)
+        return local.move(self.datum.offset)
 
 
 @eqx.filter_jit

@@ -29,7 +29,7 @@ def room_around(solid: np.ndarray) -> np.ndarray:
     return np.asarray(room)
 
 
-def fitting_places(solid: np.ndarray, start: np.ndarray, radius: float) -> np.ndarray:
+def find_fitting_places(solid: np.ndarray, start: np.ndarray, radius: float) -> np.ndarray:
     """Return the voxels (D, H, W) at whose centre a ball fits, connected with the start.
 
     The start (z, y, x) and the radius are in voxels. All beyond the volume is solid.
@@ -82,7 +82,7 @@ def observable(
                 turned = [jnp.moveaxis(each, axis, 0) for each in (free, jnp.asarray(places))]
                 if sign < 0.0:
                     turned = [each[::-1] for each in turned]
-                found = _seen_along(
+                found = _see_along(
                     *turned, jnp.asarray(shift), jnp.asarray(step), jnp.float32(reach)
                 )
                 found = jnp.moveaxis(found[::-1] if sign < 0.0 else found, 0, axis)
@@ -100,7 +100,7 @@ def _steps(ways: np.ndarray, axis: int, planes: int) -> tuple[np.ndarray, np.nda
 
 
 @jax.jit
-def _seen_along(
+def _see_along(
     free: Bool[Array, "N h w"],
     places: Bool[Array, "N h w"],
     shifts: Int[Array, "n N 2"],
@@ -109,7 +109,7 @@ def _seen_along(
 ) -> Bool[Array, "N h w"]:
     """Return the free voxels seen along lines that rise along the first axis."""
 
-    def shifted(values: Array, by: Array, fill: float | bool) -> Array:
+    def shift_by(values: Array, by: Array, fill: float | bool) -> Array:
         wide = jnp.pad(values, 1, constant_values=fill)
         return jax.lax.dynamic_slice(wide, [1 - by[0], 1 - by[1]], values.shape)
 
@@ -122,8 +122,8 @@ def _seen_along(
             (left, was_free), (is_free, is_place, by) = before, now
             # Between two planes a line passes beside the voxel ahead of the old one, or beside the
             # one before the new one: it is blocked if both are solid.
-            passes = shifted(is_free, by, False) | was_free
-            left = jnp.where(passes, shifted(left, by, -math.inf) - step, -math.inf)
+            passes = shift_by(is_free, by, False) | was_free
+            left = jnp.where(passes, shift_by(left, by, -math.inf) - step, -math.inf)
             left = jnp.where(is_place, reach, left)
             left = jnp.where(is_free & (left >= 0.0), left, -math.inf)
             return (left, is_free), left >= 0.0

@@ -39,7 +39,7 @@ from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
-from jaxplore.simulation.volume.observable import fitting_places, observable
+from jaxplore.simulation.volume.observable import find_fitting_places, observable
 
 TOUCHING = 1.0
 """Reach of the box in which the distance to solid voxels is examined [m]."""
@@ -133,7 +133,7 @@ class VolumeScenario(Scenario):
         radius = float(robot.radius)
         solid = ~np.asarray(world.is_free)
         side = world.resolution
-        places = fitting_places(
+        places = find_fitting_places(
             solid, _start_voxel(solid, world, place, radius, datum), radius / side
         )
         views = [(each.max_range / side, *each.elevations) for each in given]
@@ -181,7 +181,7 @@ class VolumeScenario(Scenario):
         elapsed = self.control_period * self.steps_per_field.astype(jnp.float32)
         truly, truly_turned = position_upwards(state.robot), attitude_upwards(state.robot)
 
-        def scanned(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
+        def scan_once(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
             before, known = given
             keys = jax.random.split(key, len(self.sensors))
             scans = [
@@ -192,7 +192,7 @@ class VolumeScenario(Scenario):
             old, log_odds = read_first(window, before.grid.log_odds)
             before = eqx.tree_at(lambda each: each.grid.log_odds, before, log_odds)
             belief = self.perception.update(before, at, turn, scans)
-            wanted = belief.placed(window).read(self.observable)
+            wanted = belief.place_window(window).read(self.observable)
             now, then = (
                 jnp.sum((each < FREE_BELOW) & wanted, dtype=jnp.int32)
                 for each in (window.read(belief.grid.log_odds), old)
@@ -201,8 +201,10 @@ class VolumeScenario(Scenario):
 
         is_due = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
         belief, stored = state.belief.split()
-        belief, known = jax.lax.cond(is_due, scanned, lambda same: same, (belief, state.num_known))
-        belief, stored = eqx.combine(belief, stored).remembered().split()
+        belief, known = jax.lax.cond(
+            is_due, scan_once, lambda same: same, (belief, state.num_known)
+        )
+        belief, stored = eqx.combine(belief, stored).store_window().split()
 
         def with_fields(old: VolumeBelief) -> VolumeBelief:
             heading = self.robot.heading(moment.observed)
@@ -227,7 +229,7 @@ class VolumeScenario(Scenario):
         is_finite = jnp.all(jnp.isfinite(moved))
         is_collision = is_finite & (self.clearance(moved) < 0.0)
         after = jnp.where(is_finite, moved, state.robot)
-        after = jnp.where(is_collision, self._stopped(state.robot), after)
+        after = jnp.where(is_collision, self._stop(state.robot), after)
         record = VolumeRecord(
             state=after,
             control=control,
@@ -313,9 +315,9 @@ class VolumeScenario(Scenario):
             target_coverage=float(self.target_coverage),
             robot_radius=float(self.robot.radius),
         )
-        return local.moved(self.datum.offset)
+        return local.move(self.datum.offset)
 
-    def _stopped(self, state: StateVector) -> StateVector:
+    def _stop(self, state: StateVector) -> StateVector:
         """Return the state of a robot that keeps its position and attitude, at rest."""
         still = jnp.asarray([name.startswith(("v", "w")) for name in self.robot.state_names])
         return jnp.where(still, 0.0, state)
@@ -340,11 +342,11 @@ def _start_voxel(
     grid = ((start[:3] - origin) / side)[::-1]
     voxel = np.floor(grid).astype(int)
     # To the millimetre: single precision has no more.
-    shown = ", ".join(f"{round(float(each), 3):.10g}" for each in datum.shown(start[:3]))
+    shown = ", ".join(f"{round(float(each), 3):.10g}" for each in datum.round_to_map(start[:3]))
     where = f"start is ({shown})"
     if not ((voxel >= 0) & (voxel < solid.shape)).all():
         ends = origin + np.array(solid.shape[::-1]) * side
-        lows, highs = datum.shown(origin), datum.shown(ends)
+        lows, highs = datum.round_to_map(origin), datum.round_to_map(ends)
         x, y, z = (f"{low:.10g} to {high:.10g}" for low, high in zip(lows, highs, strict=True))
         raise ValueError(f"{where}, off the volume; accepted: x {x}, y {y}, z {z}")
     reach = math.ceil(radius / side) + 1

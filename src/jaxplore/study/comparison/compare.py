@@ -51,7 +51,7 @@ class RecordingTask(Task):
         recording = record_alone(experiment, num_trajectories=NUM_TRAJECTORIES)
         return recording.metrics(seed=self.seed), recording
 
-    def failed(self, reason: str) -> tuple[Metrics, Recording]:
+    def make_failure(self, reason: str) -> tuple[Metrics, Recording]:
         """Raise a `ChildProcessError`: the run ended its workers."""
         raise ChildProcessError(f"run of {self.variant} with seed {self.seed} failed: {reason}")
 
@@ -123,18 +123,18 @@ def compare(
 def _check_arguments(experiments: object, seeds: object) -> None:
     """Raise a `ValueError` for another type; `compare` checks the values."""
     if not isinstance(experiments, Mapping):
-        given = _kinds.described(experiments)
+        given = _kinds.describe(experiments)
         raise ValueError(f"experiments is {given}; accepted: the arguments of simulate by name")
     for name, experiment in experiments.items():
         label = f"experiments[{name!r}]"
         if not isinstance(experiment, (list, tuple)) or len(experiment) < 3:
-            given = _kinds.described(experiment)
+            given = _kinds.describe(experiment)
             raise ValueError(f"{label} is {given}; accepted: (controller, scenario, num_steps)")
         _kinds.instance(f"controller of {label}", experiment[0], Controller)
         _kinds.instance(f"scenario of {label}", experiment[1], Scenario)
         _checks.positive_int(f"num_steps of {label}", experiment[2], at_most=MOST_STEPS)
     if not isinstance(seeds, Sequence) or isinstance(seeds, str):
-        given = _kinds.described(seeds)
+        given = _kinds.describe(seeds)
         raise ValueError(f"seeds is {given}; accepted: different whole numbers, at least one")
     for index, seed in enumerate(seeds):
         _kinds.instance(f"seeds[{index}]", seed, int, np.integer)

@@ -11,7 +11,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.padding import common_shapes
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.figure import PNG, figure_formats
-from jaxplore.report.folder import locked_folder
+from jaxplore.report.folder import lock_folder
 from jaxplore.report.table import to_markdown
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
@@ -125,7 +125,7 @@ def compare_maps(
     # Before the folder is made: a start or a map may be refused.
     episodes, grids = _with_shapes(episodes, plan.maps)
     # A second comparison would run the same runs, and `overwrite` would remove those of the first.
-    with locked_folder(Path(os.path.realpath(folder)), "comparison folder"):
+    with lock_folder(Path(os.path.realpath(folder)), "comparison folder"):
         store = open_store(folder, plan, overwrite=overwrite)
         with progress_bar("exploring", enabled=progress) as advance:
             advance(0.0, f"{len(episodes)} runs")

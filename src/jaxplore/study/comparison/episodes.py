@@ -8,8 +8,8 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from jaxplore._spelling import spelled
-from jaxplore.build.own import own_code, own_robot, own_rule
+from jaxplore._spelling import match_spelling
+from jaxplore.build.own import hash_user_code, import_robot, import_rule
 from jaxplore.settings.exploration import (
     ARCHITECTURES,
     OFFICE,
@@ -171,10 +171,10 @@ def variant_entries(
     known = ARCHITECTURES
     found: dict[str, dict[str, Any]] = {}
     for given in variants:
-        name = spelled(given, known)
+        name = match_spelling(given, known)
         entries = {} if not isinstance(variants, Mapping) else dict(variants[given])
         # An architecture that repeats the name of its variant would change the id of its runs.
-        if spelled(entries.get("architecture"), known) == name:
+        if match_spelling(entries.get("architecture"), known) == name:
             del entries["architecture"]
         if name not in known and not is_own(name) and "architecture" not in entries:
             if not entries:
@@ -187,10 +187,10 @@ def variant_entries(
 def _code(settings: Settings) -> str:
     """Check what of the user's own settings name, and return the hash of its code."""
     if is_own(settings.architecture):
-        own_rule(settings.architecture)
+        import_rule(settings.architecture)
     if is_own(settings.robot.model):
-        own_robot(settings.robot.model)
-    return own_code(settings)
+        import_robot(settings.robot.model)
+    return hash_user_code(settings)
 
 
 def _architecture(entries: Entries) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from jaxplore.report.drawing.colours import OUTLINE, UNKNOWN, belief_colours
 from jaxplore.report.drawing.figure import figure_bytes
 from jaxplore.report.drawing.series import line_style
 from jaxplore.report.table import to_html
-from jaxplore.study.comparison.replay import seen_cells
+from jaxplore.study.comparison.replay import decode_cells
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.table import NEEDED, list_failures, map_tables
 
@@ -108,9 +108,9 @@ def page(
     for line in list_failures(results):
         parts.append(f'<p class="failed">{html.escape(line)}</p>')
     replays: list[dict[str, Any]] = []
-    parts_shown = {name: known_part(grid) for name, grid in maps.items()}
+    parts_shown = {name: find_known_part(grid) for name, grid in maps.items()}
     for table in map_tables(results):
-        runs = _shown(results, table.map)
+        runs = _rows_to_draw(results, table.map)
         parts.append(f"<h2>{html.escape(table.map)}</h2>")
         parts.append(f'<div class="wide">{to_html(table.rows)}</div>')
         parts.append(_picture(curves_figure(runs), f"Coverage over time on {table.map}"))
@@ -120,7 +120,7 @@ def page(
             for name, own in _by_variant(runs).items():
                 drawn = _picture(path_figure(own[0], grid, part), f"Path of {name} on {table.map}")
                 # A run on another version of the map has a path and no replay.
-                seen = seen_cells(own[0]["seen"], grid.shape)
+                seen = decode_cells(own[0]["seen"], grid.shape)
                 if seen is not None:
                     drawn = (
                         f'<button type="button" data-run="{len(replays)}" title="Replay">{drawn}'
@@ -133,7 +133,7 @@ def page(
     if replays:
         parts.append(DIALOG)
         pictures = {
-            name: _coloured(maps[name], parts_shown[name])
+            name: _colour(maps[name], parts_shown[name])
             for name in sorted({each["map"] for each in replays})
         }
         parts.append(_script(replays, pictures))
@@ -148,16 +148,16 @@ def page_figures(
     """Yield the figures of the `page` with names: the curves of each map, and each path."""
     results = _relative(results, datums)
     for table in map_tables(results):
-        runs = _shown(results, table.map)
+        runs = _rows_to_draw(results, table.map)
         yield f"{table.map}-curves", curves_figure(runs)
         if table.map in maps:
             grid = maps[table.map]
-            part = known_part(grid)
+            part = find_known_part(grid)
             for name, own in _by_variant(runs).items():
                 yield f"{table.map}-{name}-path", path_figure(own[0], grid, part)
 
 
-def _shown(results: Sequence[Row], name: str) -> list[Row]:
+def _rows_to_draw(results: Sequence[Row], name: str) -> list[Row]:
     """Return the rows of a map's runs that have something to draw."""
     return [
         row
@@ -204,7 +204,7 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
     return figure
 
 
-def known_part(grid: OccupancyGrid) -> Part:
+def find_known_part(grid: OccupancyGrid) -> Part:
     """Return the rows and columns of the known part of a map, with a rim of two cells."""
     is_known = np.asarray(grid.is_free | grid.is_occupied)
     rows, columns = (
@@ -225,7 +225,7 @@ def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    coloured = _coloured(grid, part)
+    coloured = _colour(grid, part)
     height, width, _ = coloured.shape
     # The height is limited, so that the picture of a long corridor is neither flat nor tall.
     tall = min(max(height / width, 0.4), 1.8)
@@ -242,7 +242,7 @@ def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
     return figure
 
 
-def _coloured(grid: OccupancyGrid, part: Part) -> np.ndarray:
+def _colour(grid: OccupancyGrid, part: Part) -> np.ndarray:
     """Colour a part of a map (rows, columns, 3)."""
     colours: np.ndarray = belief_colours()[
         np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)

@@ -27,7 +27,7 @@ class Replay(NamedTuple):
     picture: bytes
 
 
-def seen_cells(picture: bytes, shape: tuple[int, int]) -> np.ndarray | None:
+def decode_cells(picture: bytes, shape: tuple[int, int]) -> np.ndarray | None:
     """Return the levels of a replay's picture, row 0 at the bottom; None if it is none of a map.
 
     The PNG may have more rows at the top and more columns at the right than the map.

@@ -9,7 +9,7 @@ from jaxplore.build.exploration import build_exploration, with_start
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.settings.exploration import make_exploration_settings
 from jaxplore.study.comparison.episodes import EpisodeBatch
-from jaxplore.study.comparison.rows import Row, StoredRow, failed_row, make_row, store_row
+from jaxplore.study.comparison.rows import Row, StoredRow, make_failed_row, make_row, store_row
 from jaxplore.study.episode import EpisodeTask, InputFile
 from jaxplore.study.experiments import SideBySide, record_alone
 
@@ -69,6 +69,6 @@ class RowTask(EpisodeTask):
             batch = tuple(dataclasses.replace(each, copy=self.copy) for each in batch)
         return tuple(map(store_row, self.make(batch)))
 
-    def failed(self, reason: str) -> tuple[StoredRow, ...]:
+    def make_failure(self, reason: str) -> tuple[StoredRow, ...]:
         """Return rows with an error."""
-        return tuple(store_row(failed_row(each, reason)) for each in self.episodes)
+        return tuple(store_row(make_failed_row(each, reason)) for each in self.episodes)

@@ -115,7 +115,7 @@ def make_row(
     }
 
 
-def failed_row(episode: MapEpisode, error: str) -> Row:
+def make_failed_row(episode: MapEpisode, error: str) -> Row:
     """Make the row of a failed run; the reason is joined to one line."""
     row: Row = dict.fromkeys(COLUMNS)
     row |= _first_columns(episode, " ".join(error.split()) or "unknown")

@@ -203,7 +203,7 @@ def open_store(
     """
     target = Path(os.path.realpath(folder))
     where = f"comparison folder {os.fspath(folder)!r}"
-    former = _former(target, where)
+    former = _read_former(target, where)
     if plan is None:
         if former is None:
             raise ValueError(f"{where} holds no {MARK}; accepted: the folder of a comparison")
@@ -234,7 +234,7 @@ def open_store(
     return store
 
 
-def _former(target: Path, where: str) -> dict[str, Any] | None:
+def _read_former(target: Path, where: str) -> dict[str, Any] | None:
     """Read the former plan of a folder; None if the folder is empty or missing."""
     mark = target / MARK
     if not mark.is_file() and (target / FORMER_MARK).is_file():

@@ -10,9 +10,9 @@ from PIL import Image
 from jaxplore.report.drawing.film import (
     GIF,
     FilmOptions,
-    captioned,
+    add_caption,
+    describe_speed,
     evenly_chosen,
-    told_speed,
     write_film,
 )
 from jaxplore.report.recording import Recording
@@ -63,7 +63,7 @@ def side_by_side(
     runs = list(recordings.values())
     instants = [[frame.time for frame in each.frames] for each in runs]
     shown = evenly_chosen(sorted(set().union(*instants)), min(FRAMES, options.max_frames))
-    speed = told_speed(options.speed(shown, GIF))
+    speed = describe_speed(options.speed(shown, GIF))
     painters = [each.painter(options.scale) for each in runs]
     told = [*[""] * (len(runs) - 1), speed]
 
@@ -73,10 +73,10 @@ def side_by_side(
             for each, times in zip(runs, instants, strict=True)
         ]
         pictures = [
-            captioned(paint(frame), options.scale, title, right)
+            add_caption(paint(frame), options.scale, title, right)
             for paint, frame, title, right in zip(painters, frames, recordings, told, strict=True)
         ]
-        return _beside(pictures, round(_GAP * options.scale))
+        return _join_pictures(pictures, round(_GAP * options.scale))
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"film{GIF}"
@@ -85,7 +85,7 @@ def side_by_side(
         return file.read_bytes()
 
 
-def _beside(pictures: Sequence[Image.Image], gap: int) -> Image.Image:
+def _join_pictures(pictures: Sequence[Image.Image], gap: int) -> Image.Image:
     """Return pictures side by side, aligned at the top."""
     width = sum(each.width + gap for each in pictures) - gap
     picture, left = Image.new("RGB", (width, max(each.height for each in pictures)), "white"), 0

@@ -20,7 +20,7 @@ from jaxplore.study.tuning.episodes import (
     make_tasks,
     report_each,
 )
-from jaxplore.study.tuning.objective import known_metrics
+from jaxplore.study.tuning.objective import list_metrics
 from jaxplore.study.tuning.space import Candidate, Value
 
 
@@ -60,7 +60,7 @@ class ControllerEpisodes(Episodes):
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of the metrics of an episode."""
-        return known_metrics(self._example.scenario.metrics_type)
+        return list_metrics(self._example.scenario.metrics_type)
 
     @property
     def default_objective(self) -> str:

@@ -126,7 +126,7 @@ class MetricsTask(EpisodeTask):
         results |= self._side_by_side(ready) or self._one_by_one(ready)
         return tuple(results[index] for index in range(len(self.episodes)))
 
-    def failed(self, reason: str) -> tuple[Result, ...]:
+    def make_failure(self, reason: str) -> tuple[Result, ...]:
         """Return a failed result for each episode."""
         return (Result({}, reason),) * len(self.episodes)
 
@@ -166,7 +166,7 @@ def make_tasks(
 ) -> list[MetricsTask]:
     """Group episodes into tasks; a task has up to `batch` of them if they can run as a batch."""
 
-    def alike(episode: Episode) -> tuple[Any, ...]:
+    def group_key(episode: Episode) -> tuple[Any, ...]:
         return episode.scenario, episode.seed, episode.time_limit, _sizes(episode.candidate)
 
     return [
@@ -178,7 +178,7 @@ def make_tasks(
             build=build,
             together=together,
         )
-        for some in in_batches(episodes, alike, batch)
+        for some in in_batches(episodes, group_key, batch)
     ]
 
 

@@ -26,7 +26,7 @@ _STATES = ("done", "given up", "failed")
 
 
 @contextmanager
-def former_study(optuna: Any, path: Path, name: str) -> Iterator[Any]:
+def open_former_study(optuna: Any, path: Path, name: str) -> Iterator[Any]:
     """Yield a copy of the study that a database stores, or None; the database is only read.
 
     Raises:
@@ -139,7 +139,7 @@ def check_content(study: Any, search: Search) -> None:
         _require(all(isinstance(each, int | float | str) for each in fixed.values()))
         for parameter in search.space.parameters:
             value = frozen.params.get(parameter.name)
-            _require(value is None or parameter.clipped(value) == value)
+            _require(value is None or parameter.clip(value) == value)
         _require(all(each == expected[name] for name, each in frozen.distributions.items()))
         if trial.state != "running":
             _require(set(frozen.params) == set(expected) and VERDICT in frozen.user_attrs)

@@ -46,7 +46,7 @@ class Generations:
         after its limit [s]. `show` is called with the number of finished candidates, after each
         episode and at the end. After Ctrl-C finished episodes stay stored.
         """
-        trials = self._opened(numbers, ask)
+        trials = self._open_trials(numbers, ask)
         known = {each.number: read_episodes(each.user_attrs) for each in trials}
         decided = {each.number for each in trials if VERDICT in each.user_attrs}
         if len(decided) < len(trials):
@@ -125,7 +125,7 @@ class Generations:
             return None
         # After an interruption this rung may be reported already.
         step = len(so_far) - 1
-        if step not in _reported(self._study, trial.number):
+        if step not in _read_reports(self._study, trial.number):
             trial.report(means[0] - self._reference(known, so_far), step)
         # The current settings are always evaluated completely: they are the reference.
         if trial.number != 0 and trial.should_prune():
@@ -160,7 +160,7 @@ class Generations:
             values = [objective.mean(stored) for objective in self._search.objectives]
             self._study.tell(trial.number, values)
 
-    def _opened(self, numbers: range, ask: Callable[[], list[Candidate]]) -> list[Any]:
+    def _open_trials(self, numbers: range, ask: Callable[[], list[Candidate]]) -> list[Any]:
         """Return the unfinished trials of a generation, and create missing ones."""
         trials = import_optional("optuna.trial", "tuning")
         there = self._study.get_trials(deepcopy=False)
@@ -192,6 +192,6 @@ class Generations:
         return opened
 
 
-def _reported(study: Any, number: int) -> Mapping[int, float]:
+def _read_reports(study: Any, number: int) -> Mapping[int, float]:
     found: Mapping[int, float] = study.get_trials(deepcopy=False)[number].intermediate_values
     return found

@@ -153,7 +153,7 @@ class Objective:
         return math.fsum(values) / len(values)
 
 
-def known_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
+def list_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
     """Return the names of the metrics of a class; a name that ends with a dot is a prefix."""
     names: list[str] = []
     for field in dataclasses.fields(metrics_type):
@@ -216,12 +216,12 @@ def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
         # Without targets there is no last one, so nothing is late.
         is_asked = name != "last_target_at" or bool(metrics.get("num_targets"))
         if name in metrics and metrics[name] is None and is_asked:
-            filled[name] = limit * (1.0 + _missing(metrics))
+            filled[name] = limit * (1.0 + _share_left(metrics))
             filled[f"{LATE}{name}"] = 1.0
     return filled
 
 
-def _missing(metrics: Numbers) -> float:
+def _share_left(metrics: Numbers) -> float:
     """Return the share of a task that was left, from 0 to 1."""
 
     def number(name: str) -> float:

@@ -97,7 +97,7 @@ class OptunaOptimizer(Optimizer):
                 # The current settings replaced this proposal.
                 self._study.tell(trial, state=self._states.FAIL)
                 if each.state == "done":
-                    self._study.add_trial(self._done(each))
+                    self._study.add_trial(self._make_trial(each))
             elif each.state == "done":
                 self._study.tell(trial, list(each.values))
             elif each.state == "given up":
@@ -109,7 +109,7 @@ class OptunaOptimizer(Optimizer):
         self._told += len(generation)
         self._asked = []
 
-    def _done(self, each: Evaluated) -> Any:
+    def _make_trial(self, each: Evaluated) -> Any:
         return import_optional("optuna.trial", "tuning").create_trial(
             params=each.candidate, distributions=self._distributions, values=list(each.values)
         )
@@ -177,7 +177,7 @@ class EvosaxOptimizer(Optimizer):
         with self._jax.numpy_dtype_promotion("standard"):
             asked, self._state = self._algorithm.ask(self._next_key(1), self._state, self._numbers)
         self._asked = np.asarray(asked)
-        return [self._space.candidate(reflected(row)) for row in self._asked]
+        return [self._space.candidate(reflect(row)) for row in self._asked]
 
     def tell(self, generation: Sequence[Evaluated]) -> None:
         """Report the ranks."""
@@ -186,7 +186,7 @@ class EvosaxOptimizer(Optimizer):
             self.ask()
         ranks = np.asarray([each.rank for each in generation], np.float32)
         with self._jax.numpy_dtype_promotion("standard"):
-            population = self._jax.numpy.asarray(self._told(generation))
+            population = self._jax.numpy.asarray(self._points_to_tell(generation))
             self._state, _ = self._algorithm.tell(
                 self._next_key(2),
                 population,
@@ -197,7 +197,7 @@ class EvosaxOptimizer(Optimizer):
         self._generation += 1
         self._asked = None
 
-    def _told(self, generation: Sequence[Evaluated]) -> np.ndarray:
+    def _points_to_tell(self, generation: Sequence[Evaluated]) -> np.ndarray:
         told = np.array(self._asked)
         # The very first candidate was replaced by the start, so its point is that of the start.
         if self._generation == 0:
@@ -219,7 +219,7 @@ def _evosax_options(name: str) -> dict[str, Any]:
     return options
 
 
-def reflected(places: np.ndarray) -> np.ndarray:
+def reflect(places: np.ndarray) -> np.ndarray:
     """Map numbers to [0, 1] by repeated reflection at both ends."""
     folded = np.mod(places, 2.0)
     return np.asarray(np.where(folded > 1.0, 2.0 - folded, folded))

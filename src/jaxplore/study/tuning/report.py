@@ -35,7 +35,7 @@ def write_settings(study: Study, chosen: Trial, folder: Path) -> Path | None:
     """Write the settings of a candidate and return the path; None if no settings were tuned."""
     if not isinstance(study.episodes, SettingsEpisodes):
         return None
-    entries = study.episodes.chosen_settings(chosen.candidate)
+    entries = study.episodes.make_entries(chosen.candidate)
     text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True)
     return _write(folder / SETTINGS, text.encode())
 

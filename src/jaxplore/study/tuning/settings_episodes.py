@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxplore.build.own import own_code, own_rule
+from jaxplore.build.own import hash_user_code, import_rule
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.base import Controller
 from jaxplore.maps.files.packing import read_files
@@ -31,7 +31,7 @@ from jaxplore.study.tuning.episodes import (
     make_tasks,
     report_each,
 )
-from jaxplore.study.tuning.objective import known_metrics
+from jaxplore.study.tuning.objective import list_metrics
 from jaxplore.study.tuning.space import Candidate, Space, Value
 
 Entries = Mapping[str, Any]
@@ -79,7 +79,7 @@ class SettingsEpisodes(Episodes):
         self._scenarios = {name: dict(entries) for name, entries in scenarios.items()}
         self._runner, self._batch = runner, check_batch(batch)
         self._together = SideBySide(batch) if batch > 1 else None
-        self._common = shared_entries(self._scenarios) if common is None else dict(common)
+        self._common = find_shared_entries(self._scenarios) if common is None else dict(common)
         first = next(iter(self._scenarios.values()))
         self._settings = make_settings(first)
         self._known = _searchable_settings(self._settings)
@@ -97,7 +97,7 @@ class SettingsEpisodes(Episodes):
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of the metrics of an episode."""
-        return known_metrics(self.example.scenario.metrics_type)
+        return list_metrics(self.example.scenario.metrics_type)
 
     @property
     def default_objective(self) -> str:
@@ -149,7 +149,7 @@ class SettingsEpisodes(Episodes):
         for name in self._scenarios:
             yield make_settings(self.entries(name, greatest))
 
-    def chosen_settings(self, candidate: Candidate) -> dict[str, Any]:
+    def make_entries(self, candidate: Candidate) -> dict[str, Any]:
         """Return the entries of a settings file with a candidate's values.
 
         For one scenario these are all settings; for several, the common ones.
@@ -268,7 +268,7 @@ class SettingsEpisodes(Episodes):
     def describe(self) -> dict[str, Any]:
         """Return all settings, and hashes of the files and modules that they name."""
         settings = {name: make_settings(entries) for name, entries in self._scenarios.items()}
-        codes = {name: own_code(each) for name, each in settings.items()}
+        codes = {name: hash_user_code(each) for name, each in settings.items()}
         return {
             "scenarios": {
                 name: each.model_dump(mode="json", exclude={"seed"})
@@ -288,7 +288,7 @@ def build_entries(entries: Entries, _: Episode, location: Entries) -> Experiment
     return build(make_settings({**entries, **location}))
 
 
-def shared_entries(scenarios: Mapping[str, Entries]) -> dict[str, Any]:
+def find_shared_entries(scenarios: Mapping[str, Entries]) -> dict[str, Any]:
     """Return the entries that are the same in all scenarios."""
     first, *others = scenarios.values()
     return {
@@ -318,7 +318,7 @@ def _searchable_settings(settings: RunSettings) -> dict[str, Value]:
         read = _SECTION.get(architecture, "informative")
         if is_own(architecture):
             # A function makes its controller without them.
-            read = "" if own_rule(architecture) is None else "controller"
+            read = "" if import_rule(architecture) is None else "controller"
         # A setting of a controller that the architecture does not use would have no effect.
         for section in _OF_CONTROLLERS:
             if section != read:

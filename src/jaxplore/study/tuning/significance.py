@@ -99,17 +99,17 @@ def changes(
     for objective in objectives:
         pairs = [(objective.value(before[each]), objective.value(after[each])) for each in where]
         names = [metric for _, metric in objective.terms]
-        found += _counted(
+        found += _count_late(
             _change(str(objective), pairs, objective.level), names, where, before, after
         )
     for name in SHOWN:
         pairs = [(_number(before[each], name), _number(after[each], name)) for each in where]
         if name not in map(str, objectives):
-            found += _counted(_change(name, pairs), [name], where, before, after)
+            found += _count_late(_change(name, pairs), [name], where, before, after)
     return found
 
 
-def _counted(
+def _count_late(
     found: Sequence[Change],
     names: Sequence[str],
     where: Sequence[tuple[str, int]],

@@ -89,7 +89,7 @@ class Parameter:
             return self.choices[min(int(place * self.size), self.size - 1)]
         low, high = self._ends()
         value = low + place * (high - low)
-        return self.clipped(math.exp(value) if self.is_log else value)
+        return self.clip(math.exp(value) if self.is_log else value)
 
     def place(self, value: Value) -> float:
         """Map a value to [0, 1], the inverse of `value`. Values out of bounds are clipped."""
@@ -113,7 +113,7 @@ class Parameter:
             low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
         return (math.log(low), math.log(high)) if self.is_log else (low, high)
 
-    def clipped(self, value: Value) -> Value:
+    def clip(self, value: Value) -> Value:
         """Return the nearest value within the bounds."""
         if self.choices is not None:
             return value if value in self.choices else self.choices[0]

@@ -8,12 +8,12 @@ from typing import Any
 
 from jaxplore._optional import import_optional
 from jaxplore._text import error_reason
-from jaxplore.report.folder import locked_folder
+from jaxplore.report.folder import lock_folder
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.former import (
     check_content,
     close_storage,
-    former_study,
+    open_former_study,
     storage_at,
 )
 from jaxplore.study.tuning.search import Search
@@ -49,8 +49,8 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
         storage = former = None
         if folder is not None:
             # A second search would mix its candidates into the study, so it is refused at once.
-            stack.enter_context(locked_folder(folder, "study folder"))
-            former = _checked(optuna, folder, search, asked)
+            stack.enter_context(lock_folder(folder, "study folder"))
+            former = _check_study(optuna, folder, search, asked)
             # A full disk may fail it already where the tables are made.
             stack.enter_context(_in_one_line(optuna, folder))
             storage = storage_at(optuna, folder / STUDY)
@@ -76,11 +76,11 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
         yield Study(search, episodes, study)
 
 
-def _checked(optuna: Any, folder: Path, search: Search, asked: dict[str, Any]) -> Any:
+def _check_study(optuna: Any, folder: Path, search: Search, asked: dict[str, Any]) -> Any:
     """Return the definition that a folder's study was made with, or None without a study."""
     path, former, difference = folder / STUDY, None, None
     try:
-        with former_study(optuna, path, _NAME) as study:
+        with open_former_study(optuna, path, _NAME) as study:
             former = None if study is None else study.user_attrs.get(_ASKED)
             if former is not None:
                 difference = _difference(former, asked, str(folder))

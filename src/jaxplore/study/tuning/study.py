@@ -51,7 +51,7 @@ class Study:
     def __init__(self, search: Search, episodes: Episodes, study: Any) -> None:
         self.search, self.episodes, self.optuna = search, episodes, study
         self._start = {
-            each.name: each.clipped(episodes.start(each.name)) for each in search.space.parameters
+            each.name: each.clip(episodes.start(each.name)) for each in search.space.parameters
         }
         self._generations = Generations(search, episodes, study, self._start)
         self._optimizer: Optimizer | None = None
@@ -74,7 +74,7 @@ class Study:
             self._optimizer = make_optimizer(self.search, self._start)
         # A study that continues reports its former generations first, and gets the same state.
         while self._is_done(self._told, self.search.population):
-            self._optimizer.tell(self._evaluated(self._told))
+            self._optimizer.tell(self._rank_generation(self._told))
             self._told += 1
         return self._optimizer
 
@@ -168,7 +168,7 @@ class Study:
                     if seconds is not None and time.perf_counter() - began > seconds:
                         return True
                     numbers = self._numbers(generation, last)
-                    self._generations.run(numbers, self._asked, self._limits(generation), show)
+                    self._generations.run(numbers, self._ask, self._limits(generation), show)
                     self._check_values()
                 generation += 1
         except KeyboardInterrupt:
@@ -288,7 +288,7 @@ class Study:
         kept = self.optuna.get_trials(deepcopy=False)
         return [make_trial(kept[number]) for number in numbers]
 
-    def _asked(self) -> list[Candidate]:
+    def _ask(self) -> list[Candidate]:
         return self.optimizer.ask()
 
     def _limits(self, generation: int) -> dict[tuple[str, int], float]:
@@ -310,7 +310,7 @@ class Study:
             if metrics.get("is_finished") and metrics.get("duration")
         }
 
-    def _evaluated(self, generation: int) -> list[Evaluated]:
+    def _rank_generation(self, generation: int) -> list[Evaluated]:
         """Return a complete generation with the ranks of its candidates."""
         trials = self._some(self._numbers(generation))
 

@@ -10,7 +10,7 @@ from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 
-from jaxplore._signals import blocked_in_children
+from jaxplore._signals import block_in_children
 from jaxplore.study.workers.pool import Event, WorkerPool, limit_threads, num_processors
 from jaxplore.study.workers.task import Task, run_task
 
@@ -42,7 +42,7 @@ class ProcessPool(WorkerPool):
         process = context.Process(target=_serve, args=arguments, daemon=True)
         # The resource tracker is started first: its start would undo the block below.
         resource_tracker.ensure_running()
-        with blocked_in_children():
+        with block_in_children():
             process.start()
         # Now only the child holds its end of the connection, so its death closes ours.
         theirs.close()

@@ -91,7 +91,7 @@ class RayPool(WorkerPool):
                     self._files[key] = self._ray.put(content)
         except (OSError, ValueError) as error:
             # The files are unreadable: this task fails, the others continue.
-            self._failed.append(Event(worker, task.failed(str(error))))
+            self._failed.append(Event(worker, task.make_failure(str(error))))
             return
         self._tasks[worker] = task
         # Ray fetches only top-level arguments for the worker, not those inside a list.
@@ -112,7 +112,7 @@ class RayPool(WorkerPool):
         except self._errors.RayTaskError as error:
             # The task raised and its worker lives on. Without a task the worker could not start.
             if task is not None:
-                return Event(worker, task.failed(str(error).strip().splitlines()[-1]))
+                return Event(worker, task.make_failure(str(error).strip().splitlines()[-1]))
             reason = str(error)
         except self._errors.RayError as error:
             reason = f"{type(error).__name__}: {error}"
@@ -155,7 +155,7 @@ class _Worker:
                     (folder / name).write_bytes(data)
                 # Stored only when complete: later tasks rely on stored folders.
                 self._folders[key] = folder
-        return run_task(task.located({key: self._folders[key] for key in keys}))
+        return run_task(task.relocate({key: self._folders[key] for key in keys}))
 
 
 @contextlib.contextmanager

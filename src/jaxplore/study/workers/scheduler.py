@@ -49,7 +49,7 @@ class Scheduler:
                     queue.put_back(task)
                 else:
                     reason = f"{MAX_DEATHS} workers died of it: {event.death}"
-                    on_result(task, task.failed(reason))
+                    on_result(task, task.make_failure(reason))
 
     def close(self) -> None:
         """End all workers."""

@@ -47,7 +47,7 @@ class Task(abc.ABC):
         """
         return {}
 
-    def located(self, folders: Mapping[str, Path]) -> "Task":
+    def relocate(self, folders: Mapping[str, Path]) -> "Task":
         """Return the task with its files in other folders, by the keys of `files`."""
         return self
 
@@ -56,7 +56,7 @@ class Task(abc.ABC):
         """Run the task and return the result. A failure is a result too."""
 
     @abc.abstractmethod
-    def failed(self, reason: str) -> Any:
+    def make_failure(self, reason: str) -> Any:
         """Return the result of a failed task, which killed its workers or has unreadable files."""
 
 
