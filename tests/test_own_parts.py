@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore.build.own import hash_user_code
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.build.user_code import hash_user_code
 from jaxplore.cli import main
 from jaxplore.settings.sections import read_settings
 from jaxplore.study.comparison.episodes import make_episodes

@@ -11,7 +11,7 @@ from PIL import Image
 import jaxplore as jx
 from jaxplore.build import tasks
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.commented import to_commented_yaml
+from jaxplore.settings.commented_yaml import to_commented_yaml
 from jaxplore.settings.defaults import DIFFERENCES
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.path import PathSettings

@@ -11,7 +11,7 @@ from jaxplore.dynamics.goal_check import Motion
 from jaxplore.onboard import steps
 from jaxplore.onboard.following import MOST_LENGTH, NUM_NODES, path_of_points, pieces_of_points
 from jaxplore.onboard.options import Mode
-from jaxplore.onboard.tasks import Driver
+from jaxplore.onboard.tasks import TaskControl
 
 pytestmark = pytest.mark.long
 
@@ -80,7 +80,7 @@ def test_a_piece_begins_when_the_robot_stands_at_the_end_of_the_last(make_follow
     pilot = make_follower()
     task = pilot.task
     task.take(dense([(0.0, 0.0), (2.0, 0.0), (1.0, 0.1)]))
-    driver = Driver(pilot.controller, pilot.robot, np.asarray(pilot.scenario.start))
+    driver = TaskControl(pilot.controller, pilot.robot, np.asarray(pilot.scenario.start))
 
     def waits_for(x, y, speed):
         task.update_control(driver, np.zeros(2), np.zeros(2, np.float32))

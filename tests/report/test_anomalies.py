@@ -13,8 +13,8 @@ from jaxplore.report.exploration.anomalies import find_report_times, matches, mi
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import AnomalyData
 from jaxplore.report.exploration.plots import map_figure
-from jaxplore.report.stored import pack_recording, unpack_recording
-from jaxplore.simulation.exploration.planted import find_anomalies
+from jaxplore.report.recording_arrays import pack_recording, unpack_recording
+from jaxplore.simulation.exploration.planted_anomalies import find_anomalies
 
 BOXES = np.array([[0.5, 0.5, 1.0, 1.0], [2.0, 1.0, 2.4, 1.4], [1.4, 0.2, 1.6, 0.4]])
 FOUND = AnomalyData(

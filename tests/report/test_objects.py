@@ -12,7 +12,7 @@ from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import ObjectData
 from jaxplore.report.exploration.objects import class_colours
 from jaxplore.report.exploration.plots import map_figure
-from jaxplore.report.stored import pack_recording, unpack_recording
+from jaxplore.report.recording_arrays import pack_recording, unpack_recording
 
 NEVER = np.inf
 # Two targets, a barrel that was reported as a person and then as what it is, and a door that was

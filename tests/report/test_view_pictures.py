@@ -333,7 +333,7 @@ def test_a_run_that_cannot_be_shown_is_one_line_and_leaves_no_server(recording) 
 
 def test_other_tasks_are_shown_by_their_own_picture(recording) -> None:
     from jaxplore.report.recording import Recording
-    from jaxplore.view.other import PictureScene
+    from jaxplore.view.animation import PictureScene
 
     class Dot(Recording):
         def metrics(self, *, seed=None):

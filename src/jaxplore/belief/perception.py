@@ -28,7 +28,7 @@ from jaxplore.belief.perception_checks import (
 )
 from jaxplore.belief.recognition import Recognition
 from jaxplore.belief.roadmap import ROOMY, TurnsOnTheSpot
-from jaxplore.belief.standing import free_below
+from jaxplore.belief.robot_cells import free_below
 from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps.clearance import clearance_field, find_closed_cells, update_clearance

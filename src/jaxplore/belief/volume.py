@@ -20,8 +20,8 @@ from jaxplore.belief.coarse_voxels import (
     update_coarse,
 )
 from jaxplore.belief.exploration_field import information_sources
+from jaxplore.belief.robot_cells import free_around
 from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shift_array, window_shape
-from jaxplore.belief.standing import free_around
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.belief.volume_information import update_information

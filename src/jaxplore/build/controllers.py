@@ -8,8 +8,8 @@ from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
 from jaxplore.build.fleet import cost_of_others, has_others
 from jaxplore.build.localisation import uncertain_robot
-from jaxplore.build.own import import_controller, import_rule
 from jaxplore.build.parts import build_robot
+from jaxplore.build.user_code import import_controller, import_rule
 from jaxplore.build.world import RunWorld, expects_people
 from jaxplore.control.base import Controller
 from jaxplore.costs.occlusion import OcclusionCost
@@ -34,9 +34,9 @@ from jaxplore.planning.presets.target_explorer import target_explorer
 from jaxplore.planning.strategy.targets import TargetChoice
 from jaxplore.planning.strategy.uncertainty_aware import UncertaintyAware
 from jaxplore.sensing.lidar import Lidar
+from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import BASELINES, Settings
-from jaxplore.settings.own import is_own
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 

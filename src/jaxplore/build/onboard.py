@@ -8,8 +8,8 @@ from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import Perception
 from jaxplore.build.exploration import build_in, build_scenario
 from jaxplore.build.localisation import build_localisation
-from jaxplore.build.own import import_rule
 from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
+from jaxplore.build.user_code import import_rule
 from jaxplore.build.world import RunWorld
 from jaxplore.costs.base import Cost
 from jaxplore.costs.moving import MovingObstacleCost
@@ -24,10 +24,10 @@ from jaxplore.parameters import set_parameters
 from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.robot.localisation import Localisation
+from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
 from jaxplore.settings.node import NodeSettings, part_node
-from jaxplore.settings.own import is_own
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NO_PART = (

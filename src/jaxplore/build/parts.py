@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from jaxplore.belief.recognition import Recognition
-from jaxplore.build.own import import_robot
+from jaxplore.build.user_code import import_robot
 from jaxplore.control.adaptive_horizon import (
     AdaptiveHorizon,
     HorizonByClearance,
@@ -34,9 +34,9 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.lidar_errors import LidarErrors
 from jaxplore.sensing.mount import LidarMount
+from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import DetectorSettings, Settings
-from jaxplore.settings.own import is_own
 from jaxplore.settings.robot import CARS, ChassisSettings, RobotSettings, SensorModelSettings
 from jaxplore.settings.sections import (
     AdaptiveHorizonSettings,

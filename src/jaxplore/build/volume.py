@@ -11,7 +11,6 @@ import numpy as np
 
 from jaxplore._text import printable_path
 from jaxplore.belief.volume import VolumePerception
-from jaxplore.build.own import import_controller, import_rule
 from jaxplore.build.parts import (
     build_faults,
     build_sensor_model,
@@ -19,6 +18,7 @@ from jaxplore.build.parts import (
     with_adaptive_horizon,
     with_latency,
 )
+from jaxplore.build.user_code import import_controller, import_rule
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.datum import ORIGIN, Datum
@@ -33,8 +33,8 @@ from jaxplore.planning.presets.volume import (
     volume_target_explorer,
 )
 from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
+from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments, parameter_default
-from jaxplore.settings.own import is_own
 from jaxplore.settings.volume import GENERATED, VolumeSettings, make_volume_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.volume.observable import room_around

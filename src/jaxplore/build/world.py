@@ -13,7 +13,7 @@ from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import LabelledObject, MovingObstacle, World, is_world_file, three_zones
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, ZONES, Settings
-from jaxplore.simulation.exploration.planted import PlantedAnomalies, find_anomalies
+from jaxplore.simulation.exploration.planted_anomalies import PlantedAnomalies, find_anomalies
 from jaxplore.simulation.exploration.reachability import open_spot, with_closed
 
 ENOUGH = 1.0 - 1e-6

@@ -4,7 +4,7 @@ from jaxplore.cli._known import load_known
 from jaxplore.cli._terminal import say
 from jaxplore.parameters import nearest
 from jaxplore.report.table import print_table
-from jaxplore.settings.commented import to_commented_yaml
+from jaxplore.settings.commented_yaml import to_commented_yaml
 from jaxplore.settings.exploration import OFFICE
 from jaxplore.settings.reference import (
     KINDS,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxplore import _kinds
-from jaxplore._alike import Alike
+from jaxplore._equal_objects import Alike
 from jaxplore._trees import with_field
 from jaxplore._types import ArrayLike, ControlVector, Key, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan

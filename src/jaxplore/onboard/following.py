@@ -16,7 +16,7 @@ from jaxplore.dynamics.goal_check import GOAL_RADIUS, STANDING, GoalCheck, Motio
 from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.curves import cusps
 from jaxplore.geometry.path import Path
-from jaxplore.onboard.tasks import Driver, DriveTask
+from jaxplore.onboard.tasks import DriveTask, TaskControl
 
 NUM_NODES = 1025
 """Number of nodes of a path: paths of any length share a program."""
@@ -60,7 +60,7 @@ class Following(DriveTask):
             return super().reference
         return np.asarray(self._path.points)[::SHOWN]
 
-    def prepare(self, driver: Driver) -> None:
+    def prepare(self, driver: TaskControl) -> None:
         """Compile what `update_control` calls."""
         other = Following(self.perception)
         other.take(np.array([[0.0, 0.0], [1.0, 0.0]]))
@@ -80,7 +80,9 @@ class Following(DriveTask):
         first = given[0] if len(given) else np.zeros(2)
         self._pieces, self._first, self._is_new = pieces_of_points(given - first), first, True
 
-    def update_control(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
+    def update_control(
+        self, driver: TaskControl, offset: np.ndarray, place: np.ndarray
+    ) -> TaskControl:
         """Return a driver for the newest path, from its point that is nearest to the robot."""
         if not self._is_new:
             return driver
@@ -92,7 +94,7 @@ class Following(DriveTask):
         controller, robot = along_path((driver.controller, driver.robot), path)
         expected = driver.expected.copy()
         expected[robot.state_names.index("phi")] = nearest_parameter(path, on_device(place))
-        return Driver(controller, robot, expected)
+        return TaskControl(controller, robot, expected)
 
     def waits_for(self, place: np.ndarray, motion: Motion = STANDING) -> str:
         """Return why the robot stands; empty if it drives."""

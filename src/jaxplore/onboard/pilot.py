@@ -22,6 +22,7 @@ from jaxplore.onboard.log import DriveLog
 from jaxplore.onboard.mapper import Mapper
 from jaxplore.onboard.odometry import PoseHistory, robot_state
 from jaxplore.onboard.options import Command, Mode, PilotOptions
+from jaxplore.onboard.pending_commands import SentCommands
 from jaxplore.onboard.scan_points import (
     CHECKED_SECONDS,
     RecentPoints,
@@ -29,8 +30,7 @@ from jaxplore.onboard.scan_points import (
     lidar_pose,
     no_points,
 )
-from jaxplore.onboard.sent import SentCommands
-from jaxplore.onboard.tasks import Driver, DriveTask, Exploring
+from jaxplore.onboard.tasks import DriveTask, Exploring, TaskControl
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.robot.localisation import Localisation
@@ -154,7 +154,7 @@ class Pilot:
     def prepare(self) -> None:
         """Compile everything that the loop calls, so that no command waits for it."""
         self._mapper.prepare(self.task.perception)
-        self.task.prepare(Driver(self.controller, self.robot, self._expected))
+        self.task.prepare(TaskControl(self.controller, self.robot, self._expected))
         planned = self._plan(np.asarray(self._expected, np.float32), 0.0, self.period)
         steps.apply_correction(self.robot, self._expected, np.zeros(3), np.zeros(3))
         shown = self.make_frame()
@@ -377,7 +377,7 @@ class Pilot:
     def _adapt(self) -> None:
         """Let the task change the controller and the model, such as for another path."""
         assert self._history.last is not None
-        before = Driver(self.controller, self.robot, self._expected)
+        before = TaskControl(self.controller, self.robot, self._expected)
         place = self._local(self._history.last.pose)[:2].astype(np.float32)
         after = self.task.update_control(before, self._poses.offset, place)
         # Another thread may set parameters meanwhile: what has not changed is not written back.

@@ -18,7 +18,7 @@ LOST_SECONDS = 10.0
 NOTHING_LEFT = "no place that is worth a visit is reachable"
 
 
-class Driver(NamedTuple):
+class TaskControl(NamedTuple):
     """The controller, the model, and the state (nx,) to which the last command leads."""
 
     controller: Controller
@@ -40,10 +40,12 @@ class DriveTask:
         self.perception = perception
         self.is_done = False
 
-    def prepare(self, driver: Driver) -> None:
+    def prepare(self, driver: TaskControl) -> None:
         """Compile what `update_control` calls."""
 
-    def update_control(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
+    def update_control(
+        self, driver: TaskControl, offset: np.ndarray, place: np.ndarray
+    ) -> TaskControl:
         """Return what drives the robot from now on; the same if nothing has changed.
 
         Args:

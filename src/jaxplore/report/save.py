@@ -14,8 +14,8 @@ from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.folder import MARK, run_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Recording
-from jaxplore.report.stored import NAME as STATE
-from jaxplore.report.stored import pack_recording
+from jaxplore.report.recording_arrays import NAME as STATE
+from jaxplore.report.recording_arrays import pack_recording
 
 BEFORE_ANIMATION = 0.2
 """Share of the progress bar for everything but the animation, which takes longest."""

@@ -20,11 +20,11 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.planning.presets.flight import Flight
 from jaxplore.sensing.detector import Detector
+from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.fleet import FleetSettings
 from jaxplore.settings.localisation import LocalisationSettings
-from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.people import PeopleSettings
 from jaxplore.settings.robot import (

@@ -9,8 +9,8 @@ from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.geometry.track import race_track
 from jaxplore.maps.files.path_file import read_path
 from jaxplore.planning.presets.path_following import avoidance_cost, mpcc
+from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.defaults import setting
-from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.robot import GROUND_ROBOTS, RobotSettings
 from jaxplore.settings.sections import (

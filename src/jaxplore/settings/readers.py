@@ -26,7 +26,8 @@ from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.planning.presets.volume import ARCHITECTURES as IN_VOLUMES
 from jaxplore.planning.presets.volume import volume_informative_mppi, volume_target_explorer
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
-from jaxplore.settings.accepted import choices
+from jaxplore.settings.accepted_values import choices
+from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import Owner
 from jaxplore.settings.exploration import (
     BASELINES,
@@ -35,7 +36,6 @@ from jaxplore.settings.exploration import (
     ZONES,
     Settings,
 )
-from jaxplore.settings.own import is_own
 from jaxplore.settings.path import TRACK, PathRobotSettings, PathSettings
 from jaxplore.settings.robot import CARS, RobotSettings
 from jaxplore.settings.volume import GENERATED

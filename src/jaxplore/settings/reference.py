@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from jaxplore.settings.accepted import choices, describe_accepted
+from jaxplore.settings.accepted_values import choices, describe_accepted
 from jaxplore.settings.defaults import DIFFERENCES, description_in, descriptions, unit
 from jaxplore.settings.exploration import (
     OFFICE,

@@ -14,8 +14,8 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.lidar_errors import LidarErrors
 from jaxplore.sensing.mount import MOST_MOUNT, LidarMount
+from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.defaults import in_degrees, setting
-from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.sections import (
     Beams,
     Body,

@@ -45,9 +45,9 @@ from jaxplore._limits import (
 )
 from jaxplore._spelling import match_spelling
 from jaxplore._text import printable_path, short_repr
-from jaxplore.settings.accepted import describe_accepted
+from jaxplore.settings.accepted_values import describe_accepted
+from jaxplore.settings.code_names import check_trusted
 from jaxplore.settings.defaults import setting
-from jaxplore.settings.own import check_trusted
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.variation import Variation
 
@@ -204,7 +204,7 @@ def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> 
 
     Args:
         path: path of the file.
-        is_trusted: whether the file may name code, MODULE:NAME, see `jaxplore.settings.own`.
+        is_trusted: whether the file may name code, MODULE:NAME, see `jaxplore.settings.code_names`.
 
     Raises:
         ValueError: a file that is missing, unreadable, too large, not YAML, too intricate or not a

@@ -17,9 +17,9 @@ from jaxplore.planning.presets.volume import (
     volume_target_explorer,
 )
 from jaxplore.sensing.volume import DepthCamera, RingLidar
+from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.defaults import in_degrees, setting
 from jaxplore.settings.exploration import BASELINES
-from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.robot import SensorModelSettings, ViewDegrees
 from jaxplore.settings.sections import (
     Body,

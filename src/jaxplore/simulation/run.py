@@ -24,8 +24,8 @@ from jaxplore.report.drawing.figure import PNG
 from jaxplore.report.drawing.film import FPS, SCALE, Film, FilmOptions
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording
+from jaxplore.report.recording_arrays import load_run
 from jaxplore.report.save import save_run
-from jaxplore.report.stored import load_run
 from jaxplore.simulation.checkpoint import Checkpoint
 from jaxplore.simulation.chunks import (
     CHUNK_SECONDS,

@@ -20,7 +20,7 @@ from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import has_coverage_target
 from jaxplore.simulation.exploration.map_arrays import MapArrays
-from jaxplore.simulation.exploration.planted import PlantedAnomalies
+from jaxplore.simulation.exploration.planted_anomalies import PlantedAnomalies
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_objects import TrueObjects
 from jaxplore.simulation.robot_fields import robot_fields

@@ -78,7 +78,7 @@ from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
-from jaxplore.simulation.exploration.planted import PlantedAnomalies
+from jaxplore.simulation.exploration.planted_anomalies import PlantedAnomalies
 from jaxplore.simulation.exploration.progress import MapSums
 from jaxplore.simulation.exploration.rates import Rates
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
-from jaxplore._alike import Alike
+from jaxplore._equal_objects import Alike
 from jaxplore._types import ArrayLike, Count, Flag, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.claims import claim_cost, trust_in

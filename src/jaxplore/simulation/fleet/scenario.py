@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplore import _checks, _kinds
-from jaxplore._alike import Alike
 from jaxplore._describe import describe_fields
+from jaxplore._equal_objects import Alike
 from jaxplore._trees import HostOnly, with_field
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Rows, Scalar, StateVector
 from jaxplore._xla import on_device
@@ -29,6 +29,7 @@ from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
+from jaxplore.simulation.fleet.communication import Talk
 from jaxplore.simulation.fleet.contact import stop_touching
 from jaxplore.simulation.fleet.motion import moves
 from jaxplore.simulation.fleet.radio import Radio
@@ -36,7 +37,6 @@ from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
 from jaxplore.simulation.fleet.senses import TeamSenses
 from jaxplore.simulation.fleet.starts import check_starts
 from jaxplore.simulation.fleet.state import FleetState
-from jaxplore.simulation.fleet.talk import Talk
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
 

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Int
 
-from jaxplore._alike import Alike
+from jaxplore._equal_objects import Alike
 from jaxplore._types import Flag, Key, Pose
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles

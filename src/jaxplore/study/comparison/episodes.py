@@ -9,7 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxplore._spelling import match_spelling
-from jaxplore.build.own import hash_user_code, import_robot, import_rule
+from jaxplore.build.user_code import hash_user_code, import_robot, import_rule
+from jaxplore.settings.code_names import is_own
 from jaxplore.settings.exploration import (
     ARCHITECTURES,
     OFFICE,
@@ -17,7 +18,6 @@ from jaxplore.settings.exploration import (
     make_exploration_settings,
     merge_entries,
 )
-from jaxplore.settings.own import is_own
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.seeds import check_number_of_runs, check_number_of_seeds
 

@@ -10,14 +10,14 @@ from jaxplore._optional import import_optional
 from jaxplore._text import error_reason
 from jaxplore.report.folder import lock_folder
 from jaxplore.study.tuning.episodes import Episodes
-from jaxplore.study.tuning.former import (
+from jaxplore.study.tuning.search import Search
+from jaxplore.study.tuning.study import Study
+from jaxplore.study.tuning.study_copy import (
     check_content,
     close_storage,
     open_former_study,
     storage_at,
 )
-from jaxplore.study.tuning.search import Search
-from jaxplore.study.tuning.study import Study
 
 FORMAT = 1
 """Version of the stored data."""

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplore._alike import Alike
+from jaxplore._equal_objects import Alike
 from jaxplore._types import Count, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.plans import Plans

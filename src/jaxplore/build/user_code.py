@@ -14,7 +14,7 @@ from jaxplore._kinds import describe
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.planning.strategy.target_rules import TargetRule
-from jaxplore.settings.own import is_own
+from jaxplore.settings.code_names import is_own
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.scenario import Scenario
 

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 import pytest
 
-from jaxplore.report import stored
+from jaxplore.report import recording_arrays
+from jaxplore.report.recording_arrays import load_run
 from jaxplore.report.save import save_run
-from jaxplore.report.stored import load_run
 from jaxplore.simulation.run import Run
 
 pytestmark = pytest.mark.long
@@ -73,23 +73,23 @@ def folder(recording, written_once, tmp_path):
 
 
 def changed(folder, **arrays) -> None:
-    with np.load(folder / stored.NAME) as held:
+    with np.load(folder / recording_arrays.NAME) as held:
         known = {name: held[name] for name in held if name not in arrays}
     known |= {name: each for name, each in arrays.items() if each is not None}
-    np.savez(folder / stored.NAME, **known)
+    np.savez(folder / recording_arrays.NAME, **known)
 
 
 def restructured(folder, change) -> None:
-    with np.load(folder / stored.NAME) as held:
+    with np.load(folder / recording_arrays.NAME) as held:
         structure = json.loads(held["structure"].tobytes())
     change(structure)
     changed(folder, structure=np.frombuffer(json.dumps(structure).encode(), np.uint8))
 
 
 DAMAGE = {
-    "is not there": lambda folder: (folder / stored.NAME).unlink(),
+    "is not there": lambda folder: (folder / recording_arrays.NAME).unlink(),
     "metrics.json is not there": lambda folder: (folder / "metrics.json").unlink(),
-    "cannot be loaded": lambda folder: (folder / stored.NAME).write_bytes(b"PK nothing"),
+    "cannot be loaded": lambda folder: (folder / recording_arrays.NAME).write_bytes(b"PK nothing"),
     "Expecting value": lambda folder: (folder / "metrics.json").write_text("no JSON"),
     "'versions'": lambda folder: (folder / "metrics.json").write_text("{}"),
     "fields/world": lambda folder: changed(folder, **{"fields/world": None}),
@@ -117,14 +117,14 @@ def test_a_damaged_folder_gets_one_line(expected, folder) -> None:
 
 
 def test_folders_that_are_too_large_or_hold_programs_are_refused(folder, monkeypatch) -> None:
-    monkeypatch.setattr(stored, "CONTENT_LIMIT", 1000)
+    monkeypatch.setattr(recording_arrays, "CONTENT_LIMIT", 1000)
     with pytest.raises(ValueError, match="it holds more than 1000 bytes"):
         load_run(folder, lambda *_: None)
-    monkeypatch.setattr(stored, "FILE_LIMIT", 1000)
+    monkeypatch.setattr(recording_arrays, "FILE_LIMIT", 1000)
     with pytest.raises(ValueError, match="is too large; accepted: at most 1000 bytes"):
         load_run(folder, lambda *_: None)
     monkeypatch.undo()
-    with zipfile.ZipFile(folder / stored.NAME, "w") as archive:
+    with zipfile.ZipFile(folder / recording_arrays.NAME, "w") as archive:
         archive.writestr("structure.npy", pickle.dumps(print))
     with pytest.raises(ValueError, match="cannot be loaded"):
         load_run(folder, lambda *_: None)
