@@ -160,8 +160,8 @@ def methods(
             {"probability": grid.probability},
         ),
         "OccupancyGrid.with_prior": (grid.with_prior, {"prior": number}),
-        "OccupancyGrid.padded": (grid.pad, {"shape": (32, 32)}),
-        "OccupancyGrid.cropped": (grid.crop, {"values": grid.probability}),
+        "OccupancyGrid.pad": (grid.pad, {"shape": (32, 32)}),
+        "OccupancyGrid.crop": (grid.crop, {"values": grid.probability}),
         "OccupancyGrid.resample": (grid.resample, {"resolution": 0.5}),
         "OccupancyGrid.unknown": (grid.unknown, {"shape": (4, 4), "frame": grid.frame}),
         "OccupancyGrid.to_ros": (

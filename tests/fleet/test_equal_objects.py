@@ -43,7 +43,11 @@ def test_each_gets_its_own_result_in_the_order_given(is_large) -> None:
 def test_all_ways_to_compute_equal_things_agree() -> None:
     """The way of accelerators as well, which a CPU does not take by itself."""
     rows = [tuple(column[i] for column in ROWS) for i in (0, 2, 3)]
-    for way in (_equal_objects.map_unrolled, _alike.map_in_turn, _alike.map_at_once):
+    for way in (
+        _equal_objects.map_unrolled,
+        _equal_objects.map_in_turn,
+        _equal_objects.map_at_once,
+    ):
         found = jax.jit(lambda given, way=way: way(lambda row: scaled(one, *row), given))(rows)
         for i, each in zip((0, 2, 3), found, strict=True):
             np.testing.assert_array_equal(each["found"], expected(i))
