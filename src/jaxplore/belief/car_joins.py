@@ -14,8 +14,8 @@ from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS
 from jaxplore.maps.frame import GridFrame
 
 CLOSED = 1e6
-"""Price of a way that passes closed poses, by their number in ten or more of it [m]: it outweighs all
-costs, so that a car in a closed place takes the way that leads out soonest."""
+"""Price of each pose without room that a way passes [m]: it outweighs all costs, so that a car in a
+closed place takes the way that leads out soonest."""
 
 
 class DescentTree(NamedTuple):
@@ -66,7 +66,7 @@ class Join(NamedTuple):
     def pose_at(self, along: Scalar, radius: Scalar | float) -> Pose:
         """Return the pose after a length [turning radii], with a turning radius [m]."""
         x, y, turn = place_on(self.sides, self.pieces, along)
-        heading = self.begin[2] + math.pi * self.direction
+        heading = self.begin[2] + math.pi * self.direction.astype(jnp.float32)
         cos, sin = jnp.cos(heading), jnp.sin(heading)
         return self.begin + jnp.stack(
             [radius * (cos * x - sin * y), radius * (sin * x + cos * y), turn]
@@ -78,10 +78,12 @@ def find_join(tree: DescentTree, frame: GridFrame, pose: Pose, speed: Scalar) ->
 
     The car can drive it. A pose of the lattice that is aside is no beginning of a path, however
     near it is: beside a door post its cost may be that of driving on, where the car must go back
-    first. The ways are those of Dubins, forwards and backwards, to the poses around the car that a
-    bend to one side and one to the other reach from half a node spacing beside. A way costs its
-    length times the mean price of a metre on it. The sign of `speed` [m/s]
-    tells the direction of travel, and another one has its price.
+    first. The ways are those of Dubins, forwards and backwards, to poses up to 2 sqrt(R) + 1 nodes
+    away, with R the turning radius in nodes: a bend and a bend back move the car half a node aside
+    within sqrt(2 R) nodes. A way costs its length times the mean price of a metre on it, as it may
+    have a door between its ends. It needs room at the nodes themselves (`is_clear`): the car does
+    not pass at the best cell beside a node. The sign of `speed` [m/s] tells the direction of
+    travel, and another one has its price.
     """
     directions, _, height, width = tree.costs.shape
     radius = tree.radius
@@ -108,7 +110,7 @@ def find_join(tree: DescentTree, frame: GridFrame, pose: Pose, speed: Scalar) ->
 
     def towards(direction: Array) -> tuple[Array, ...]:
         """Return the costs of the ways in a direction of travel, and what tells them."""
-        start = yaw + math.pi * direction
+        start = yaw + math.pi * direction.astype(jnp.float32)
         cos, sin = jnp.cos(start), jnp.sin(start)
         x, y = cos * right + sin * down, cos * down - sin * right
         sides, pieces = find_ways(*jnp.broadcast_arrays(x / radius, y / radius, turn))
@@ -119,7 +121,7 @@ def find_join(tree: DescentTree, frame: GridFrame, pose: Pose, speed: Scalar) ->
         passed_row = radius * (sin * passed[0] + cos * passed[1]) + at[0]
         passed_column = radius * (cos * passed[0] - sin * passed[1]) + at[1]
         cells = (jnp.floor(each).astype(jnp.int32) for each in (passed_row, passed_column))
-        states = (_nearest(passed[2] + yaw), *cells)
+        states = (nearest_heading(passed[2] + yaw), *cells)
         is_clear = at_poses(tree.is_clear, states, False)
         # Unlike a motion, a way may have a door between its two ends.
         price = at_poses(tree.slowness, states, 0.0).mean(axis=0)
@@ -146,9 +148,9 @@ def find_join(tree: DescentTree, frame: GridFrame, pose: Pose, speed: Scalar) ->
     )
 
 
-def _nearest(angle: Array) -> Array:
+def nearest_heading(angle: Array) -> Array:
     """Return the index of the heading that is nearest to an angle [rad]."""
     after = (*HEADINGS[1:], math.tau)
     middle = [0.5 * (a + b) for a, b in zip(HEADINGS, after, strict=True)]
     is_beyond = jnp.mod(angle, math.tau)[..., None] >= jnp.asarray(middle, jnp.float32)
-    return jnp.mod(is_beyond.sum(axis=-1), NUM_HEADINGS)
+    return jnp.mod(is_beyond.sum(axis=-1, dtype=jnp.int32), NUM_HEADINGS)

@@ -9,7 +9,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxplore._types import Count, Flag, Pose, Scalar
-from jaxplore.belief.car_joins import DescentTree, Join
+from jaxplore.belief.car_joins import DescentTree, Join, nearest_heading
 from jaxplore.belief.car_motions import motion_table, motions_from
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS
 from jaxplore.maps.frame import GridFrame
@@ -122,7 +122,12 @@ def driven(
 
     path: DrivenPath
     _, path = jax.lax.scan(step, first, length=num_steps)
-    has_way = jnp.isfinite(start.beyond)
+    # Where paths end at the pose of the lattice nearest to it, the car stays.
+    own = jnp.clip(frame.to_cell(start.begin[:2]), 0, jnp.asarray(tree.is_open.shape[1:]) - 1)
+    body = nearest_heading(start.begin[2] - frame.origin[2])
+    leads_on = _next(tree, start.direction, body, own).moves
+    is_end = jnp.isfinite(tree.costs[start.direction, body, own[0], own[1]]) & ~leads_on
+    has_way = jnp.isfinite(start.beyond) & ~is_end
     return DrivenPath(
         jnp.where(has_way, path.poses, start.begin),
         path.directions,

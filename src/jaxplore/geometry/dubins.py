@@ -30,8 +30,10 @@ def find_ways(
         sin, cos = jnp.sin(angle), jnp.cos(angle)
         # Both circles are on one side.
         ahead, beside = x - sin, up - 1.0 + cos
-        first = _whole(jnp.arctan2(beside, ahead))
-        ways.append((side, side, first, jnp.hypot(ahead, beside), _whole(angle - first)))
+        straight = jnp.hypot(ahead, beside)
+        # A straight piece without a length has no direction, and needs no circle before it.
+        first = jnp.where(straight < ROUNDING, 0.0, _whole(jnp.arctan2(beside, ahead)))
+        ways.append((side, side, first, straight, _whole(angle - first)))
         # They are on different sides, and do not overlap.
         ahead, beside = x + sin, up - 1.0 - cos
         squared = ahead**2 + beside**2 - 4.0
