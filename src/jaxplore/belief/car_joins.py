@@ -100,7 +100,7 @@ def find_join(tree: DescentTree, frame: GridFrame, pose: Pose, speed: Scalar) ->
     turn = jnp.asarray(HEADINGS, jnp.float32)[:, None, None] - yaw
     headings = jnp.arange(NUM_HEADINGS)[:, None, None]
 
-    def at_poses(values: Array, state: tuple[Array, Array, Array], outside: float | bool) -> Array:
+    def at_poses(values: Array, state: tuple[Array, ...], outside: float | bool) -> Array:
         heading, row, column = state
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         clipped = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
