@@ -15,7 +15,14 @@ from scipy.sparse.csgraph import dijkstra
 import jaxplore as jx
 from jaxplore.belief import CarMotion
 from jaxplore.belief.car import car_motion, in_passage
-from jaxplore.belief.car_paths import CHANNEL_LENGTH, CHANNEL_WIDTH, STRAYING
+from jaxplore.belief.car_joins import find_join
+from jaxplore.belief.car_paths import (
+    CHANNEL_LENGTH,
+    CHANNEL_WIDTH,
+    STRAYING,
+    DrivenPath,
+    without_shortcuts,
+)
 from jaxplore.belief.roadmap import NARROW_PRICE, TurnsOnTheSpot
 from jaxplore.geometry import Rectangle
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
@@ -49,6 +56,25 @@ def costs_of(roads, source, is_from_source=False):
 @eqx.filter_jit
 def field_of(roads, source):
     return roads.field(source)
+
+
+@eqx.filter_jit
+def costs_at(field, poses, speeds):
+    """Return the cost-to-go from poses [m]; infinite without a way."""
+
+    def cost(pose, speed):
+        way = find_join(field.tree, field.frame, pose, speed)
+        turns_back = (way.direction == 1) != (speed < 0.0)
+        return way.beyond + way.price * way.pieces.sum() + jnp.where(turns_back, REVERSAL, 0.0)
+
+    return jax.vmap(cost)(poses, speeds)
+
+
+def poses_near(field, starts):
+    """Return the poses at starts (direction, heading, row, column), and speeds of +-1 m/s."""
+    centres = np.asarray(field.frame.cell_centre(jnp.asarray(starts[:, 2:])))
+    poses = np.column_stack([centres, np.array(HEADINGS)[starts[:, 1]]]).astype(np.float32)
+    return poses, np.where(starts[:, 0] == 0, 1.0, -1.0).astype(np.float32)
 
 
 @eqx.filter_jit
@@ -192,41 +218,13 @@ def test_a_gap_is_open_for_the_heading_that_fits() -> None:
     assert not at_gap[NUM_HEADINGS // 4]
 
 
-def test_the_cost_falls_along_every_motion_of_the_best_path() -> None:
-    roads = roads_of(jnp.asarray(rooms()), lattice_of())
-    source = jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0)
-    field = field_of(roads, source)
-    costs = np.asarray(costs_of(roads, jnp.broadcast_to(source, roads.is_open_at.shape)))
-    ends, prices = graph_of(roads, roads.radius, True)
-    flat, between = costs.reshape(-1), np.asarray(field.by_heading).reshape(-1)
-    assert (between[np.isfinite(flat)] <= flat[np.isfinite(flat)] + 1e-4).all()
-    ends, prices = ends[np.isfinite(flat[ends]).all(axis=1)], prices[np.isfinite(flat[ends]).all(1)]
-    is_best = np.abs(flat[ends[:, 0]] - prices - flat[ends[:, 1]]) < 1e-4
-    assert is_best.sum() > 1000
-    by_ends = {each[:4]: each for each in motions(roads.radius)}
-    rng = np.random.default_rng(1)
-    for first, last in rng.permutation(ends[is_best])[:300]:
-        (d, k, row, column), (_, other, there, across) = (
-            np.unravel_index(each, costs.shape) for each in (first, last)
-        )
-        turn = d * NUM_HEADINGS // 2
-        name = ((k - turn) % NUM_HEADINGS, (other - turn) % NUM_HEADINGS)
-        motion = by_ends.get((*name, there - row, across - column))
-        for at in () if motion is None else motion.via:
-            pose = (d, (at.heading + turn) % NUM_HEADINGS, row + at.down, column + at.right)
-            # What is left of the motion, at the higher price of its two ends.
-            most = np.asarray(roads.slowness_at).max() * at.left * (PENALTY if d else 1.0)
-            assert np.asarray(field.by_heading)[pose] <= flat[last] + most + 1e-4
-    assert np.isfinite(between).all()
-
-
 STEP, NUM_STEPS = 0.0125, 1120
 
 
 def test_a_car_drives_down_the_cost_as_far_as_it_says() -> None:
-    """The way to the source, with its reversals, is as long as the cost-to-go where it begins: at
-    the car or a node beside it. A car can drive it: by arcs no tighter than its circle, along its
-    heading, where it fits."""
+    """The way to the source, with its reversals, is as long as the cost-to-go at the car. A car can
+    drive it from its own pose: by arcs no tighter than its circle, along its heading, where it
+    fits."""
     roads = roads_of(jnp.asarray(rooms()), lattice_of())
     # A metre costs a metre, however tight it is.
     roads = eqx.tree_at(
@@ -234,20 +232,24 @@ def test_a_car_drives_down_the_cost_as_far_as_it_says() -> None:
     )
     source = jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0)
     field = field_of(roads, source)
-    costs, between = np.asarray(field.at_nodes), np.asarray(field.by_heading)
-    # Where it does not begin on the way between two nodes.
-    begins = np.argwhere((np.abs(costs - between) < 1e-5) & (costs > 2.0) & (costs < 12.0))
-    starts = np.random.default_rng(0).permutation(begins)[:70]
-    centres = np.asarray(field.frame.cell_centre(jnp.asarray(starts[:, 2:])))
-    poses = np.column_stack([centres, np.array(HEADINGS)[starts[:, 1]]]).astype(np.float32)
-    speeds = np.where(starts[:, 0] == 0, 1.0, -1.0).astype(np.float32)
+    costs = np.asarray(field.at_nodes)
+    starts = np.argwhere((costs > 2.0) & (costs < 12.0))
+    starts = np.random.default_rng(0).permutation(starts)[:70]
+    poses, speeds = poses_near(field, starts)
+    # A half begins beside the poses of the lattice.
+    aside = np.random.default_rng(1).uniform(-1.0, 1.0, (35, 3)) * [0.08, 0.08, 0.1]
+    poses[35:] += aside.astype(np.float32)
     driven = np.asarray(
         drive(field, jnp.asarray(poses), jnp.asarray(speeds), jnp.asarray(STEP), NUM_STEPS), float
     )
-    away = np.asarray(jax.jit(lambda each: jax.vmap(roads.starts)(each))(poses))
+    begin = np.asarray(costs_at(field, poses, speeds))
+    # At a pose of the lattice no way there is needed.
+    is_clear = np.asarray(roads.is_clear_at)[tuple(starts[:35, 1:].T)]
+    assert is_clear.sum() > 10
+    assert (begin[:35] < costs[tuple(starts[:35].T)] + 1e-4)[is_clear].all()
     end = np.asarray(field.frame.cell_centre(jnp.asarray([22, 10])))
     num_reversed, errors = 0, []
-    for start, speed, aside, first, path in zip(starts, speeds, away, poses, driven, strict=True):
+    for speed, expected, first, path in zip(speeds, begin, poses, driven, strict=True):
         path = np.concatenate([first[None], path])
         move, turn = np.diff(path[:, :2], axis=0), np.diff(path[:, 2])
         turn = np.mod(turn + math.pi, math.tau) - math.pi
@@ -255,22 +257,17 @@ def test_a_car_drives_down_the_cost_as_far_as_it_says() -> None:
         moves = length > 1e-5
         middle = path[:-1, 2] + 0.5 * turn
         along = move[:, 0] * np.cos(middle) + move[:, 1] * np.sin(middle)
-        # The first step goes to where the way begins.
-        moves[0] = False
         travel = np.sign(np.concatenate([[speed], along[moves]]))
         reversals = int((np.diff(travel) != 0.0).sum())
         num_reversed += reversals
-        expected = aside + between[start[0]]
-        begin = np.unravel_index(np.argmin(expected), expected.shape)
         prices = np.where(along < 0.0, PENALTY, 1.0)
-        whole = aside[begin] + (prices * length)[1:].sum() + REVERSAL * reversals
-        errors.append(whole - expected[begin])
+        errors.append((prices * length).sum() + REVERSAL * reversals - expected)
         np.testing.assert_allclose(path[-1, :2], end, atol=1e-4)
-        # The first step joins the motion that begins at the start, or passes near it.
-        assert length[0] < 2.0 * SPACING
+        # It begins at the car, not at a pose of the lattice near it.
+        assert length[0] < 1.01 * STEP
         is_whole = moves & (length > 0.99 * STEP)
         assert (np.abs(along[is_whole]) > 0.999 * length[is_whole]).all()
-        assert (np.abs(turn[1:]) <= STEP / (SPACING * roads.radius) + 1e-4).all()
+        assert (np.abs(turn) <= STEP / (SPACING * roads.radius) + 1e-4).all()
         rows, columns = np.floor(path[:, 1::-1].T / SPACING).astype(int)
         assert np.asarray(roads.is_open)[rows, columns].all()
     assert num_reversed > 10
@@ -307,12 +304,31 @@ def test_the_channel_leads_a_car_along_its_path() -> None:
         rest = np.asarray(path.costs)
         assert (np.diff(rest) <= 1e-4).all()
         ridges.append((np.asarray(before) - rest).max())
-        rises.append((np.asarray(after) - rest).max())
+        prices = (roads.radius * SPACING, roads.reversal_cost)
+        kept = np.isfinite(without_shortcuts(path, pose, jnp.asarray(direction), *prices).costs)
+        rises.append((np.asarray(after) - rest)[kept].max())
     # The cost is interpolated over a node and a heading, at whose ends the car strays by half.
     node, turn = SPACING / 2.0, roads.radius * SPACING * math.radians(14.0)
     assert max(rises) < STRAYING * (2.0 * node**2 + turn**2)
     # What no rollout crosses: a rise on the way of more than two metres.
     assert max(ridges) > 2.0
+
+
+def test_no_channel_makes_the_place_of_a_car_cheaper_than_its_path() -> None:
+    """Back by 0.8 m, and then forwards past the place where the car is: it would stand there."""
+    back, on = np.linspace(-0.2, -0.8, 4), np.linspace(-0.6, 1.0, 9)
+    places = np.column_stack([np.append(back, on), [0.0] * 4 + [0.2] * 9, np.zeros(13)])
+    directions = np.array([1] * 4 + [0] * 9, np.int32)
+    costs = 10.0 - 0.2 * np.arange(13)
+    path = DrivenPath(
+        *(jnp.asarray(each) for each in (places.astype(np.float32), directions)),
+        jnp.asarray(costs, jnp.float32),
+    )
+    kept = without_shortcuts(path, jnp.zeros(3), jnp.asarray(1), 0.75, jnp.asarray(REVERSAL))
+    strays = STRAYING * (places[:, 0] ** 2 + places[:, 1] ** 2)
+    is_shortcut = (directions == 0) & (costs + REVERSAL + strays < 10.0)
+    assert 2 <= is_shortcut.sum() < 9
+    np.testing.assert_array_equal(np.isinf(np.asarray(kept.costs)), is_shortcut)
 
 
 @pytest.mark.parametrize("can_reverse", [True, False])
@@ -329,6 +345,8 @@ def test_the_channel_is_the_cost_of_straying_from_the_path(can_reverse: bool) ->
         rows, columns = np.mgrid[:height, :width]
         for speed in (1.0, -1.0)[:count]:
             path, channel, _, _ = ahead_of(field, pose, jnp.asarray(speed))
+            own = jnp.asarray(0 if speed > 0.0 else 1)
+            path = without_shortcuts(path, pose, own, roads.radius * SPACING, roads.reversal_cost)
             for point, way, rest in zip(*(np.asarray(each) for each in path), strict=True):
                 # Nodes are the centres of the cells of the lattice.
                 down, right = point[1] / SPACING - 0.5, point[0] / SPACING - 0.5

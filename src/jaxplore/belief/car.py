@@ -133,11 +133,12 @@ class CarLattice(Locomotion):
     ) -> CarRoadmap:
         """Build the lattice of poses in which the car fits; see `Locomotion`."""
         frame = clearance.frame.coarsen(stride, stride / 2.0)
-        room = self._room(clearance, stride)
+        room, in_middle = self._room(clearance, stride)
         # Motions have no corners that are looked at: a car below half a cell would pass a wall.
         least = narrowest(stride, clearance.frame.resolution, has_corners=False)
         is_open, tightness = fit(room, jnp.maximum(required, least))
         slowness = frame.resolution * price(tightness)
+        is_clear = in_middle >= (required if self.narrow is None else self.narrow)
         if self.narrow is not None:
             is_narrow = in_passage(is_open, fit(room, self.narrow)[0])
             slowness = jnp.where(is_narrow, frame.resolution * NARROW_PRICE, slowness)
@@ -150,6 +151,7 @@ class CarLattice(Locomotion):
             clear_corners(clearance, stride),
             slowness,
             is_open,
+            is_clear,
             self.reversal_cost,
             self.reverse_penalty,
             self.radius,
@@ -166,6 +168,7 @@ class CarLattice(Locomotion):
             None,
             flat,
             jnp.ones(flat.shape, bool),
+            jnp.ones(flat.shape, bool),
             self.reversal_cost,
             self.reverse_penalty,
             self.radius,
@@ -174,8 +177,11 @@ class CarLattice(Locomotion):
         costs = jnp.zeros((2 if self.can_reverse else 1, *flat.shape))
         return with_headings(descent_field(flat[0], frame, LAYERS), costs, roads, costs)
 
-    def _room(self, clearance: ScalarField, stride: int) -> Float[Array, "N H W"]:
-        """Return the least clearance of the discs by heading; the best cell of each block [m]."""
+    def _room(
+        self, clearance: ScalarField, stride: int
+    ) -> tuple[Float[Array, "N H W"], Float[Array, "N H W"]]:
+        """Return the least clearance of the discs by heading, at two places of each block [m]: the
+        best cell, and the middle, between the best and the worst one."""
         cell = clearance.frame.resolution
         margin = math.ceil(self.reach / cell) + 1
         # Off the map everything is closed.
@@ -183,15 +189,17 @@ class CarLattice(Locomotion):
         angles = jnp.asarray(HEADINGS, jnp.float32)
         along = jnp.stack([jnp.sin(angles), jnp.cos(angles)], axis=-1)
 
-        def at_heading(direction: Array) -> Array:
+        def at_heading(direction: Array) -> tuple[Array, Array]:
             def at_disc(ahead: Array) -> Array:
                 shift = jnp.round(ahead / cell * direction).astype(jnp.int32)
                 return jax.lax.dynamic_slice(padded, shift + margin, clearance.values.shape)
 
             discs = [at_disc(ahead) for ahead in self.footprint.offsets]
-            return block_maximum(functools.reduce(jnp.minimum, discs), stride)
+            least = functools.reduce(jnp.minimum, discs)
+            best = block_maximum(least, stride)
+            return best, 0.5 * (best - block_maximum(-least, stride))
 
-        room: Array = jax.lax.map(at_heading, along)
+        room: tuple[Array, Array] = jax.lax.map(at_heading, along)
         return room
 
 

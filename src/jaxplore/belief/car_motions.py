@@ -1,32 +1,11 @@
-"""Tables of the motions of a car, by the heading at which they begin or which they pass."""
+"""Tables of the motions of a car."""
 
 import functools
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
-
-Row = tuple[tuple[int, ...], float]
-"""Six integers of a motion or a rest of one, and its length [node spacings]."""
-
-
-@functools.cache
-def rests(radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rests of motions (N, R, 6) by the heading at which they begin, and their lengths.
-
-    The six columns are the number of the motion, the heading of its end, rows and columns from its
-    start, and rows and columns to its end. The lengths (N, R) [node spacings] are infinite where a
-    heading has fewer rests than others.
-    """
-    by_heading: list[list[Row]] = [[] for _ in HEADINGS]
-    for number, each in enumerate(motions(radius)):
-        for at in each.via:
-            to_end = (each.down - at.down, each.right - at.right)
-            row = (number, each.end, at.down, at.right, *to_end)
-            by_heading[at.heading].append((row, at.left))
-    return _table(by_heading)
+from jaxplore.geometry.state_lattice import HEADINGS, motions
 
 
 class MotionTable(NamedTuple):
@@ -73,27 +52,15 @@ def motion_table(radius: float) -> MotionTable:
 
 
 @functools.cache
-def continuations(radius: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the motions that begin at each heading, and after them the rests of motions.
+def motions_from(radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of the motions that begin at each heading (N, R), and which are some.
 
-    The arrays are like those of `rests`. The number is that of the whole motions of a heading.
+    A heading with fewer motions than others has its first one several times.
     """
-    by_heading: list[list[Row]] = [[] for _ in HEADINGS]
+    own: list[list[int]] = [[] for _ in HEADINGS]
     for number, each in enumerate(motions(radius)):
-        row = (number, each.end, 0, 0, each.down, each.right)
-        by_heading[each.start].append((row, each.length))
-    rows, lengths = _table(by_heading)
-    more, left = rests(radius)
-    joined = np.concatenate([rows, more], axis=1), np.concatenate([lengths, left], axis=1)
-    return *joined, rows.shape[1]
-
-
-def _table(by_heading: Sequence[Sequence[Row]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows (N, R, 6) and lengths (N, R), which are infinite where a heading has fewer."""
-    most = max(map(len, by_heading))
-    rows = np.zeros((NUM_HEADINGS, most, 6), np.int32)
-    lengths = np.full((NUM_HEADINGS, most), np.inf, np.float32)
-    for heading, own in enumerate(by_heading):
-        for place, (row, length) in enumerate(own):
-            rows[heading, place], lengths[heading, place] = row, length
-    return rows, lengths
+        own[each.start].append(number)
+    most = max(map(len, own))
+    numbers = np.array([each + each[:1] * (most - len(each)) for each in own], np.int32)
+    is_motion = np.arange(most) < np.array([[len(each)] for each in own])
+    return numbers, is_motion

@@ -4,11 +4,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from jaxplore._types import Count, Flag, Pose, Scalar
-from jaxplore.belief.car_motions import continuations, motion_table
+from jaxplore.belief.car_joins import DescentTree, Join, nearest_heading
+from jaxplore.belief.car_motions import motion_table, motions_from
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS
 from jaxplore.maps.frame import GridFrame
 
@@ -22,26 +24,6 @@ SLACK = 0.01
 """Rise of the cost-to-go along a motion that rounding may cause [m]."""
 
 
-class DescentTree(NamedTuple):
-    """A cost-to-go on the lattice of a car, and what tells which motion it is the cost of.
-
-    Args:
-        is_open: mask (N, H, W) of the poses in which the car fits, by heading of the body.
-        slowness: cost (N, H, W) of a step of one node spacing [m].
-        costs: cost-to-go (D, N, H, W) of the motions that begin at the poses [m].
-        reversal_cost: price of a change between forwards and backwards [m].
-        reverse_penalty: factor on the cost of what is driven backwards.
-        radius: turning radius [node spacings].
-    """
-
-    is_open: Bool[Array, "N H W"]
-    slowness: Float[Array, "N H W"]
-    costs: Float[Array, "D N H W"]
-    reversal_cost: Scalar
-    reverse_penalty: Scalar
-    radius: float
-
-
 class Moving(NamedTuple):
     """A place on a motion.
 
@@ -49,7 +31,7 @@ class Moving(NamedTuple):
         direction: 0 forwards, 1 backwards.
         number: number of the motion.
         corner: (2,) row and column where the motion begins.
-        along: length of the motion up to here [node spacings].
+        along: length of the motion up to here [node spacings]; negative on the way to it.
         moves: whether the car goes on.
         beyond: cost-to-go at the end of the motion [m].
         price: cost of a node spacing of the motion [m].
@@ -81,39 +63,42 @@ class DrivenPath(NamedTuple):
 def driven(
     tree: DescentTree,
     frame: GridFrame,
-    pose: Pose,
-    speed: Scalar,
-    away: Float[Array, "N H W"],
+    start: Join,
     steps: Float[Array, "2"],
     num_steps: int,
 ) -> DrivenPath:
-    """Return the path after 1 ... T steps along the cheapest motions.
+    """Return the path after 1 ... T steps to the lattice and along the cheapest motions.
 
-    The first motion may be the rest of one that passes the start. The path ends where no motion
-    lowers the cost. Without a motion the car stands at its pose.
-
-    The sign of `speed` [m/s] tells the direction of travel. `away` is the cost of beginning at each
-    pose of the lattice [m]; infinite elsewhere. `steps` are the lengths of a step forwards and of a
-    step backwards [m].
+    The path ends where no motion lowers the cost. Without a way the car stands at its pose. `steps`
+    are the lengths of a step forwards and of a step backwards [m].
     """
-    directions = tree.costs.shape[0]
-    heading, row, column = jnp.unravel_index(jnp.argmin(away), tree.is_open.shape)
-    direction = jnp.where((speed < 0.0) & (directions > 1), 1, 0).astype(jnp.int32)
-    corner = jnp.stack([row, column]).astype(jnp.int32)
-    first = _next(tree, direction, heading.astype(jnp.int32), corner, with_rests=True)
-    first = first._replace(moves=first.moves & jnp.isfinite(away.min()))
+    spacing = frame.resolution
     lengths = jnp.asarray(motion_table(tree.radius).length)
+    way = tree.radius * start.pieces.sum()
+    first = _next(tree, start.direction, start.heading, start.corner)
+    first = first._replace(
+        direction=jnp.where(first.moves, first.direction, start.direction),
+        along=-way,
+        # Where no motion leads on, it stays at the end of the way.
+        beyond=jnp.where(first.moves, first.beyond, start.beyond),
+        price=jnp.where(first.moves, first.price, 0.0),
+    )
     # A piece is no longer than the shortest motion, so that it passes one end at most.
-    shares = steps / frame.resolution
+    shares = steps / spacing
     pieces = jnp.maximum(jnp.ceil(shares.max()), 1.0)
+
+    def direction_at(at: Moving) -> Array:
+        return jnp.where(at.along < 0.0, start.direction, at.direction)
 
     def piece(_: Array, at: Moving) -> Moving:
         length = lengths[at.number]
-        along = at.along + jnp.where(at.moves, shares[at.direction] / pieces, 0.0)
+        ahead = shares[direction_at(at)] / pieces
+        end = jnp.where(at.moves, jnp.inf, jnp.maximum(at.along, 0.0))
+        along = jnp.minimum(at.along + ahead, end)
 
         def turn_over(at: Moving) -> Moving:
             corner, body = _end(tree, at)
-            after = _next(tree, at.direction, body, corner, with_rests=False)
+            after = _next(tree, at.direction, body, corner)
             # At its last pose it stays where it is.
             stays = at._replace(along=length, moves=jnp.array(False))
             further = after._replace(along=after.along + along - length)
@@ -126,16 +111,50 @@ def driven(
 
     def step(at: Moving, _: None) -> tuple[Moving, DrivenPath]:
         at = jax.lax.fori_loop(0, pieces.astype(jnp.int32), piece, at)
-        cost = at.beyond + (lengths[at.number] - at.along) * at.price
-        return at, DrivenPath(_pose(tree, frame, at), at.direction, cost)
+        is_before = at.along < 0.0
+        passed = (at.along + way) / tree.radius
+        pose = jnp.where(
+            is_before, start.pose_at(passed, tree.radius * spacing), _pose(tree, frame, at)
+        )
+        to_end = start.beyond - at.along / tree.radius * start.price
+        cost = jnp.where(is_before, to_end, at.beyond + (lengths[at.number] - at.along) * at.price)
+        return at, DrivenPath(pose, direction_at(at), cost)
 
     path: DrivenPath
     _, path = jax.lax.scan(step, first, length=num_steps)
+    # Where paths end at the pose of the lattice nearest to it, the car stays.
+    own = jnp.clip(frame.to_cell(start.begin[:2]), 0, jnp.asarray(tree.is_open.shape[1:]) - 1)
+    body = nearest_heading(start.begin[2] - frame.origin[2])
+    leads_on = _next(tree, start.direction, body, own).moves
+    is_end = jnp.isfinite(tree.costs[start.direction, body, own[0], own[1]]) & ~leads_on
+    has_way = jnp.isfinite(start.beyond) & ~is_end
     return DrivenPath(
-        jnp.where(first.moves, path.poses, pose),
+        jnp.where(has_way, path.poses, start.begin),
         path.directions,
-        jnp.where(first.moves, path.costs, jnp.inf),
+        jnp.where(has_way, path.costs, jnp.inf),
     )
+
+
+def without_shortcuts(
+    path: DrivenPath,
+    pose: Pose,
+    direction: Count,
+    radius: float,
+    reversal_cost: Scalar,
+) -> DrivenPath:
+    """Return a path without a cost where its channel would lower that of the pose it begins at.
+
+    After a reversal a path may come back beside its beginning, turned by what the car must turn
+    first. To stray there costs less than the way does, and a car that looks for the least cost
+    would stand at its beginning. `radius` is the turning radius [m], and `direction` the direction
+    of travel at the pose; see `with_channel`.
+    """
+    turn = jnp.mod(path.poses[:, 2] - pose[2] + jnp.pi, 2.0 * jnp.pi) - jnp.pi
+    away = ((path.poses[:, :2] - pose[:2]) ** 2).sum(axis=1) + (radius * turn) ** 2
+    costs = path.costs + jnp.where(path.directions != direction, reversal_cost, 0.0)
+    is_later = jnp.cumsum(path.directions != path.directions[0]) > 0
+    is_shortcut = is_later & (costs + STRAYING * away < costs[0])
+    return path._replace(costs=jnp.where(is_shortcut, jnp.inf, path.costs))
 
 
 def with_channel(
@@ -174,24 +193,14 @@ def with_channel(
     return costs.at[:, :, row, column].min(bounds, mode="drop", wrap_negative_indices=False)
 
 
-def _next(
-    tree: DescentTree,
-    direction: Count,
-    body: Count,
-    corner: Int[Array, "2"],
-    *,
-    with_rests: bool,
-) -> Moving:
+def _next(tree: DescentTree, direction: Count, body: Count, corner: Int[Array, "2"]) -> Moving:
     """Return the beginning of the cheapest motion from a pose of the lattice.
 
-    `direction` is the direction of travel up to here. The motion may also be the rest of one that
-    passes the pose, if `with_rests`; static.
+    `direction` is the direction of travel up to here.
     """
     directions, _, height, width = tree.costs.shape
-    rows, lefts, whole = continuations(tree.radius)
-    if not with_rests:
-        rows, lefts = rows[:, :whole], lefts[:, :whole]
-    via = jnp.asarray(motion_table(tree.radius).via)
+    table = motion_table(tree.radius)
+    numbers, is_motion = motions_from(tree.radius)
 
     def at(values: Array, heading: Array, places: Array, outside: float | bool) -> Array:
         """Return the values at poses (heading, place), and another one off the map."""
@@ -202,38 +211,37 @@ def _next(
         )
         return jnp.where(inside, values[heading, row, column], outside)
 
+    def of(values: np.ndarray, number: Array) -> Array:
+        return jnp.asarray(values)[number]
+
     def options(travel: Array) -> tuple[Array, Array, Array, Array]:
         # Backwards, the body is the other way round than the motion.
         half_turn = travel * (NUM_HEADINGS // 2)
         motion = jnp.mod(body + half_turn, NUM_HEADINGS)
-        row, left = jnp.asarray(rows)[motion], jnp.asarray(lefts)[motion]
-        number, end, back, to_end = row[:, 0], row[:, 1], row[:, 2:4], row[:, 4:]
-        body_after = jnp.mod(end + half_turn, NUM_HEADINGS)
-        after = at(tree.costs[travel], body_after, corner + to_end, jnp.inf)
+        number = jnp.asarray(numbers)[motion]
+        ends = corner + jnp.stack([of(table.down, number), of(table.right, number)], axis=-1)
+        body_after = jnp.mod(of(table.end, number) + half_turn, NUM_HEADINGS)
+        after = at(tree.costs[travel], body_after, ends, jnp.inf)
         price = 0.5 * (tree.slowness[body, corner[0], corner[1]])
-        price = price + 0.5 * at(tree.slowness, body_after, corner + to_end, jnp.inf)
+        price = price + 0.5 * at(tree.slowness, body_after, ends, jnp.inf)
         price = price * jnp.where(travel == 1, tree.reverse_penalty, 1.0)
-        passed = via[number]
+        passed = of(table.via, number)
         bodies = jnp.mod(passed[..., 2] + half_turn, NUM_HEADINGS)
-        places = (corner - back)[:, None] + passed[..., :2]
-        is_open = at(tree.is_open, bodies, places, False).all(axis=-1)
-        cost = jnp.where(is_open & jnp.isfinite(left), after + left * price, jnp.inf)
+        is_open = at(tree.is_open, bodies, corner + passed[..., :2], False).all(axis=-1)
+        is_open = is_open & jnp.asarray(is_motion)[motion]
+        cost = jnp.where(is_open, after + of(table.length, number) * price, jnp.inf)
         cost = jnp.where(travel == direction, cost, cost + tree.reversal_cost)
-        return cost, left, after, price
+        return number, cost, after, price
 
-    costs, left, after, price = jax.vmap(options)(jnp.arange(directions, dtype=jnp.int32))
+    numbers_at, costs, after, price = jax.vmap(options)(jnp.arange(directions, dtype=jnp.int32))
     best = jnp.argmin(costs)
     least = costs.reshape(-1)[best]
     travel, place = (each.astype(jnp.int32) for each in jnp.unravel_index(best, costs.shape))
-    motion = jnp.mod(body + travel * (NUM_HEADINGS // 2), NUM_HEADINGS)
-    row = jnp.asarray(rows)[motion, place]
-    length = jnp.asarray(motion_table(tree.radius).length)[row[0]]
     # At a place where paths end, every motion costs more than to stay.
     here = tree.costs[direction, body, corner[0], corner[1]]
     moves = jnp.isfinite(least) & (least <= here + SLACK)
-    along = jnp.where(moves, length - left[travel, place], 0.0)
-    rest = (after[travel, place], price[travel, place])
-    return Moving(travel, row[0], corner - row[2:4], along, moves, *rest)
+    rest = (jnp.zeros(()), moves, after[travel, place], price[travel, place])
+    return Moving(travel, numbers_at[travel, place], corner, *rest)
 
 
 def _end(tree: DescentTree, at: Moving) -> tuple[Int[Array, "2"], Count]:

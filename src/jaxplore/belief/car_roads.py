@@ -12,8 +12,15 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
-from jaxplore.belief.car_motions import motion_table, rests
-from jaxplore.belief.car_paths import CHANNEL_LENGTH, DescentTree, DrivenPath, driven, with_channel
+from jaxplore.belief.car_joins import DescentTree, find_join
+from jaxplore.belief.car_motions import motion_table
+from jaxplore.belief.car_paths import (
+    CHANNEL_LENGTH,
+    DrivenPath,
+    driven,
+    with_channel,
+    without_shortcuts,
+)
 from jaxplore.belief.guidance import LAYERS, GuidanceField, descent_field
 from jaxplore.belief.roadmap import Roadmap, nearest_open
 from jaxplore.belief.tiles import Part, Tiling, relax_costs
@@ -42,7 +49,8 @@ class CarRoadmap(Roadmap):
 
     Args:
         slowness_at: cost (N, H, W) of a step of one node spacing by heading of the body [m].
-        is_open_at: mask (N, H, W) of the poses in which the car fits.
+        is_open_at: mask (N, H, W) of the poses in which the car fits, at the best cell of a node.
+        is_clear_at: mask (N, H, W) of the poses in which it fits at the node itself.
         reversal_cost: price of a change between forwards and backwards [m].
         reverse_penalty: factor on the cost of what is driven backwards.
         radius: turning radius [node spacings]; static.
@@ -51,6 +59,7 @@ class CarRoadmap(Roadmap):
 
     slowness_at: Float[Array, "N H W"]
     is_open_at: Bool[Array, "N H W"]
+    is_clear_at: Bool[Array, "N H W"]
     reversal_cost: Scalar
     reverse_penalty: Scalar
     radius: float = eqx.field(static=True)
@@ -68,28 +77,11 @@ class CarRoadmap(Roadmap):
         the cost of the poses where paths may end [m]; infinite elsewhere. If `is_from_source`
         (static), paths lead from the source instead of to it.
         """
-        found = self._costs(source, is_from_source=is_from_source)[0]
-        # What leads from the source was driven the other way round.
-        return found[::-1] if is_from_source else found
-
-    def _costs(
-        self,
-        source: Float[Array, "N H W"],
-        *,
-        is_from_source: bool = False,
-        is_between: bool = False,
-    ) -> tuple[Float[Array, "D N H W"], Float[Array, "D N H W"]]:
-        """Return the cost-to-go, and the least of it and of the cost of the rest of a motion.
-
-        With `is_between`, a pose that a motion passes also costs at most the rest of that motion. A
-        car that is on its way between two nodes then finds the cost fall along its motion, although
-        a pose near it may be no start of a motion there.
-        """
         # A path from the source is a path to it that is driven in the other direction of travel.
         first = HALF if is_from_source and not self.can_reverse else 0
         bodies = (0, HALF) if self.can_reverse else (first,)
-        found = motions(self.radius)
-        margin = max(max(abs(each.down), abs(each.right)) for each in found)
+        reaches = [max(abs(each.down), abs(each.right)) for each in motions(self.radius)]
+        margin = max(reaches)
         height, width = self.is_open.shape
         beside = [
             (margin, margin + -(length + 2 * margin) % TILING.side) for length in (height, width)
@@ -119,45 +111,9 @@ class CarRoadmap(Roadmap):
             TILING,
         )
         inside = value[..., margin : margin + height, margin : margin + width]
-        between = self._between(value, prices, margin) if is_between else inside
-
-        def by_body(values: Array) -> Array:
-            return jnp.stack(
-                [jnp.roll(values[:, each], body, axis=0) for each, body in enumerate(bodies)]
-            )
-
-        return by_body(inside), by_body(between)
-
-    def _between(
-        self, value: Float[Array, "N D h w"], prices: Float[Array, "M D h w"], margin: int
-    ) -> Float[Array, "N D H W"]:
-        """Return the least of the cost-to-go and the cost of the rest of a motion.
-
-        The rest has its share of the price of the whole motion.
-        """
-        directions, (height, width) = value.shape[1], self.is_open.shape
-        table, left = rests(self.radius)
-        shares = left / motion_table(self.radius).length[table[..., 0]]
-
-        def shifted(array: Array, index: Array, down: Array, right: Array) -> Array:
-            corner = (index, 0, margin + down, margin + right)
-            part = jax.lax.dynamic_slice(array, corner, (1, directions, height, width))
-            return part[0]
-
-        def at_heading(given: tuple[Array, Array, Array]) -> Array:
-            own, rests, shares = given
-
-            def add(best: Array, rest: tuple[Array, Array]) -> tuple[Array, None]:
-                (number, end, over, across, down, right), share = rest
-                price = share * shifted(prices, number, -over, -across)
-                return jnp.minimum(best, shifted(value, end, down, right) + price), None
-
-            # Several at a time: each writes the best costs to memory once.
-            return jax.lax.scan(add, own, (rests, shares), unroll=8)[0]
-
-        own = value[..., margin : margin + height, margin : margin + width]
-        best: Array = jax.lax.map(at_heading, (own, jnp.asarray(table), jnp.asarray(shares)))
-        return _turned_over(best, self.reversal_cost)
+        found = [jnp.roll(inside[:, each], body, axis=0) for each, body in enumerate(bodies)]
+        # What leads from the source was driven the other way round.
+        return jnp.stack(found[::-1] if is_from_source else found)
 
     def _prices(
         self, is_closed: Bool[Array, "N D h w"], half: Float[Array, "N D h w"]
@@ -237,10 +193,10 @@ class CarRoadmap(Roadmap):
         self, source: Float[Array, "*headings H W"]
     ) -> tuple["CarGuidance", Float[Array, "D N H W"]]:
         """Return the field, and the cost-to-go that it extends into closed poses."""
-        at_nodes, costs = self._costs(self._at_all_headings(source), is_between=True)
+        costs = self.costs(self._at_all_headings(source))
         step = jnp.asarray(3.0 * self.frame.resolution)
         planar = descent_field(costs.min(axis=(0, 1)), self.frame, LAYERS, self.corners)
-        return with_headings(planar, _extended(costs, step), self, at_nodes), costs
+        return with_headings(planar, _extended(costs, step), self, costs), costs
 
     def _at_all_headings(self, source: Float[Array, "*headings H W"]) -> Float[Array, "N H W"]:
         return jnp.broadcast_to(source, self.is_open_at.shape)
@@ -272,10 +228,15 @@ class CarGuidance(GuidanceField):
         crosses a ridge, so the car would stand before it. There are two paths, one for each
         direction of travel that the car may have. See `with_channel`.
         """
-        roads = self.roads
-        steps = jnp.full(2, self.frame.resolution)
-        speeds = jnp.asarray((1.0, -1.0)[: self.by_heading.shape[0]])
-        paths = jax.vmap(lambda speed: self._path(pose, speed, steps, CHANNEL_LENGTH))(speeds)
+        roads, spacing = self.roads, self.frame.resolution
+
+        def path_of(direction: Array) -> DrivenPath:
+            speed = 1.0 - 2.0 * direction.astype(jnp.float32)
+            path = self._path(pose, speed, jnp.full(2, spacing), CHANNEL_LENGTH)
+            prices = (roads.radius * spacing, roads.reversal_cost)
+            return without_shortcuts(path, pose, direction, *prices)
+
+        paths = jax.vmap(path_of)(jnp.arange(self.by_heading.shape[0]))
         path = DrivenPath(*(each.reshape(-1, *each.shape[2:]) for each in paths))
         prices = (roads.radius, roads.reversal_cost)
         costs = with_channel(self.by_heading, path, self.frame, *prices)
@@ -291,18 +252,22 @@ class CarGuidance(GuidanceField):
         self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
     ) -> DrivenPath:
         """Return the path of the car along its motions; see `driven`."""
+        start = find_join(self.tree, self.frame, pose, speed)
+        return driven(self.tree, self.frame, start, steps, num_steps)
+
+    @property
+    def tree(self) -> DescentTree:
+        """The cost-to-go with what tells which motion it is the cost of."""
         roads = self.roads
-        tree = DescentTree(
+        return DescentTree(
             roads.is_open_at,
+            roads.is_clear_at,
             roads.slowness_at,
             self.at_nodes,
             roads.reversal_cost,
             roads.reverse_penalty,
             roads.radius,
         )
-        # Where it begins, the cost of the way there counts as well.
-        away = roads.starts(pose) + self.by_heading[jnp.where(speed < 0.0, -1, 0)]
-        return driven(tree, self.frame, pose, speed, away, steps, num_steps)
 
     def at_pose(
         self, position: Position, heading: Scalar, speed: Scalar
