@@ -81,7 +81,7 @@ def poses_near(field, starts):
 def drive(field, poses, speeds, step, num_steps):
     """Return the poses after each step from several starts."""
     steps = jnp.stack([step, step])
-    return eqx.filter_vmap(lambda *at: field.driven(*at, steps, num_steps))(poses, speeds)
+    return eqx.filter_vmap(lambda *at: field.trace_path(*at, steps, num_steps))(poses, speeds)
 
 
 def rooms() -> np.ndarray:

@@ -60,7 +60,7 @@ class DrivenPath(NamedTuple):
     costs: Float[Array, "*points"]
 
 
-def driven(
+def trace_path(
     tree: DescentTree,
     frame: GridFrame,
     start: Join,

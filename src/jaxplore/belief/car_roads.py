@@ -17,7 +17,7 @@ from jaxplore.belief.car_motions import motion_table
 from jaxplore.belief.car_paths import (
     CHANNEL_LENGTH,
     DrivenPath,
-    driven,
+    trace_path,
     with_channel,
     without_shortcuts,
 )
@@ -242,7 +242,7 @@ class CarGuidance(GuidanceField):
         costs = with_channel(self.by_heading, path, self.frame, *prices)
         return dataclasses.replace(self, channelled=costs)
 
-    def driven(
+    def trace_path(
         self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
     ) -> Float[Array, "T 3"]:
         """Return the poses of the car along its motions on the lattice; see `GuidanceField`."""
@@ -251,9 +251,9 @@ class CarGuidance(GuidanceField):
     def _path(
         self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
     ) -> DrivenPath:
-        """Return the path of the car along its motions; see `driven`."""
+        """Return the path of the car along its motions; see `trace_path`."""
         start = find_join(self.tree, self.frame, pose, speed)
-        return driven(self.tree, self.frame, start, steps, num_steps)
+        return trace_path(self.tree, self.frame, start, steps, num_steps)
 
     @property
     def tree(self) -> DescentTree:

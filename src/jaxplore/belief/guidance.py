@@ -66,7 +66,7 @@ class GuidanceField(eqx.Module):
         """
         return self
 
-    def driven(
+    def trace_path(
         self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
     ) -> Float[Array, "T 3"] | None:
         """Return the poses (x, y, yaw) of a robot that descends the cost-to-go (T, 3) [m, m, rad].

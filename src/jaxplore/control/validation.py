@@ -170,8 +170,8 @@ class StopCheck(eqx.Module):
         turns = jnp.linspace(-1.0, 1.0, self.num_turns) if self.num_turns > 1 else jnp.zeros(1)
 
         def turn_after(*_: Any) -> Scalar:
-            gaps, _ = jax.vmap(lambda turn: braking(after, turn, began + duration))(turns)
-            return jnp.minimum(passed, jnp.max(gaps))
+            found = jax.vmap(lambda turn: braking(after, turn, began + duration))(turns)
+            return jnp.minimum(passed, jnp.max(found[0]))
 
         def brake(*_: Any) -> tuple[ControlVector, Scalar]:
             gaps, rooms = jax.vmap(lambda turn: braking(state, turn, began))(turns)

@@ -39,14 +39,12 @@ HEADINGS = tuple(math.atan2(y, x) % math.tau for x, y in heading_vectors())
 class Passed(NamedTuple):
     """The state of a lattice that is nearest to a point of a motion.
 
-    `down` and `right` are rows and columns from the start, `heading` is an index. `left` is the
-    length of the path from there to the end of the motion [node spacings].
+    `down` and `right` are rows and columns from the start, `heading` is an index.
     """
 
     down: int
     right: int
     heading: int
-    left: float
 
 
 class Motion(NamedTuple):
@@ -148,7 +146,7 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
         determinant = cos * other_sin - sin * other_cos
         before = (right * other_sin - down * other_cos) / determinant
         before -= radius * math.tan(0.5 * abs(turn))
-    nearest: dict[tuple[int, int, int], list[float]] = {}
+    nearest: dict[tuple[int, int, int], None] = {}
     pieces = math.ceil(length / SAMPLING)
     for index in range(pieces + 1):
         at = length * index / pieces
@@ -168,12 +166,11 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
             {_nearest_heading(heading - _TIE), _nearest_heading(heading + _TIE)},
         )
         for state in itertools.product(*here):
-            nearest.setdefault(state, []).append(length - at)
+            nearest[state] = None
     for each in ((0, 0, start), (down, right, end)):
         nearest.pop(each, None)
-    # A state stands for the middle of the piece of the path that is nearest to it.
-    via = (Passed(*state, 0.5 * (left[0] + left[-1])) for state, left in nearest.items())
-    return Motion(start, end, down, right, length, tuple(via), before, turn)
+    via = tuple(Passed(*state) for state in nearest)
+    return Motion(start, end, down, right, length, via, before, turn)
 
 
 def _difference(angle: float, other: float) -> float:

@@ -178,7 +178,7 @@ class Exploring(DriveTask):
     ) -> str:
         """Take note of new fields; return why the drive is done, empty if it goes on."""
         if self.is_returning:
-            return self._check_return(now, cost, place, motion)
+            return self._update_return(now, cost, place, motion)
         has_worth = leads_to_information(cost)
         # Before the first scans nothing is known, and a map that does not grow is not a reason.
         if has_worth or not is_started or not math.isfinite(self._worth_at):
@@ -190,7 +190,7 @@ class Exploring(DriveTask):
             self.turn_back(now, NOTHING_LEFT)
         return ""
 
-    def _check_return(self, now: float, cost: float, place: np.ndarray, motion: Motion) -> str:
+    def _update_return(self, now: float, cost: float, place: np.ndarray, motion: Motion) -> str:
         home = GoalCheck(np.asarray(self.perception.goal), GOAL_RADIUS)
         if home.is_reached(place, motion):
             return f"{self._reason}; the robot is back at its start"

@@ -95,9 +95,9 @@ class ClimbingReference(StrategicReference):
         self, belief: Belief, potential: ScalarField, start: ReferenceStart
     ) -> Float[Array, "T 3"]:
         """Compute the positions after 1 ... T steps [m]."""
-        driven = _drive(self.gradient_reference, belief.guidance, start)
-        if driven is not None:
-            return driven
+        traced = _drive(self.gradient_reference, belief.guidance, start)
+        if traced is not None:
+            return traced
         climbing = self.gradient_reference(potential, belief.grid, start.position)
         guided = descend(self.gradient_reference, belief.guidance, belief, start)
         gain = potential(climbing[-1, :2]) - potential(guided[-1, :2])
@@ -116,9 +116,9 @@ def descend(
     forwards and backwards, at no more than the speeds of the car. In any other field
     `gradient_reference` ascends the negative cost. The z of `start` is kept.
     """
-    driven = _drive(gradient_reference, field, start)
-    if driven is not None:
-        return driven
+    traced = _drive(gradient_reference, field, start)
+    if traced is not None:
+        return traced
     # Ascending the negative field reuses the handling of walls and flat places.
     heights = ScalarField(-field.values, field.frame, -field.outside)
     return gradient_reference(heights, belief.grid, start.position)
@@ -130,7 +130,7 @@ def _drive(
     """Return the positions of a car that descends a field; None for any other robot."""
     pace = gradient_reference
     steps = pace.dt * jnp.stack([pace.speed, pace.reverse_speed])
-    poses = field.driven(start.pose, start.speed, steps, pace.num_steps)
+    poses = field.trace_path(start.pose, start.speed, steps, pace.num_steps)
     if poses is None:
         return None
     height = jnp.broadcast_to(start.position[2], (pace.num_steps, 1))
