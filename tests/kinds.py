@@ -255,3 +255,13 @@ def fleet(
 
 OFFICE = {"map": "office", "office": {"width": 9.0, "height": 8.0}}
 """Settings of a small office."""
+
+# An environment of Gymnasium: two floors, so that all environments of controls share one compiled
+# step.
+
+SMALL_GYM: dict[str, Any] = {
+    "office": {"seed": 1, "width": 8.0, "height": 7.0},
+    "lidar": {"num_beams": 36, "max_range": 2.0},
+    "fields": {"num_directions": 8},
+    "num_floors": 2,
+}

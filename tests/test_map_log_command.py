@@ -13,7 +13,6 @@ from PIL import Image
 from jaxplore.cli import main
 from jaxplore.maps import OccupancyGrid
 
-pytestmark = pytest.mark.long
 pytest.importorskip("gtsam")
 
 

@@ -15,8 +15,6 @@ from jaxplore.control import LatencyState, predict_state
 from jaxplore.control.base import Controller, Info
 from jaxplore.geometry.outlines import Outlines
 
-pytestmark = pytest.mark.long
-
 ROBOT = DifferentialDrive(integrator=RK4(), drag=0.3)
 START = np.array([1.0, -2.0, 0.7, 0.5, 0.2])
 CONTROLS = np.array([[0.5, -1.0], [0.3, 0.8], [-0.2, 0.4], [0.1, 0.1]])

@@ -12,8 +12,6 @@ from jaxplore.maps.generators.office import ROBOT_RADIUS, START_CLEARANCE, offic
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.simulation.exploration.reachability import reachable_cells
 
-pytestmark = pytest.mark.long
-
 DIFFICULTIES = (0.0, 0.5, 1.0)
 SEEDS = range(4)
 EIGHT_NEIGHBOURS = np.ones((3, 3), int)

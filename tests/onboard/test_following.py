@@ -13,8 +13,6 @@ from jaxplore.onboard.following import MOST_LENGTH, NUM_NODES, path_of_points, p
 from jaxplore.onboard.options import Mode
 from jaxplore.onboard.tasks import TaskControl
 
-pytestmark = pytest.mark.long
-
 LATENCY = 0.06
 
 

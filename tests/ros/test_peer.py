@@ -13,7 +13,6 @@ import pytest
 HERE = Path(__file__).parent
 MISSING = [name for name in ("rclpy", "cyclonedds") if importlib.util.find_spec(name) is None]
 pytestmark = [
-    pytest.mark.long,
     pytest.mark.skipif(bool(MISSING), reason=f"{', '.join(MISSING)} is not installed"),
 ]
 # Loopback only, as rclpy with its discovery range, and rclpy has no type information to compare.

@@ -13,8 +13,6 @@ from jaxplore.sensing.mount import LidarMount, ScanMotion, project_scan
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
 from jaxplore.simulation.exploration.true_world import TrueWorld
 
-pytestmark = pytest.mark.long
-
 SIDE, TURN = 6.0, 0.1
 PLACE = LidarMount(0.25, 0.1, math.radians(40.0), is_turning=True)
 LIDAR = Lidar(360, 8.0, range_noise=0.0, mount=PLACE)

@@ -17,8 +17,6 @@ from jaxplore.study.runner import Runner
 from jaxplore.study.workers import ray_pool
 from jaxplore.study.workers.ray_pool import RayPool
 
-pytestmark = pytest.mark.long
-
 Done = Callable[[Any, list[Any]], dict[str, Any]]
 
 ROUNDS = """
