@@ -323,8 +323,7 @@ class MotionGuard(eqx.Module):
             period: control period [s].
         """
         there = self._place(robot, state, measured)
-        nothing = jnp.full(robot.control_size, jnp.nan)
-        return self.check(robot, there, nothing, period, scan.points, scan.is_point).control
+        return self.check.brake(robot, there, period, scan.points, scan.is_point)
 
     def advance(
         self,

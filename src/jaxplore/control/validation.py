@@ -1,6 +1,6 @@
 """Check that the robot can stop after a command, and brake in the best way if it cannot."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
-from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Pose, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.collision import discs_clearance
 
@@ -113,80 +113,151 @@ class StopCheck(eqx.Module):
             is_wall: (P,) points that stand, which the robot shall not touch while it evades what
                 moves; none when absent.
         """
-        # Shapes are static, so points that do not count are moved far away.
-        far = FAR + robot.position(state)
-        kept = jnp.where(is_point[:, None], points, far)
-        walls = None if is_wall is None else jnp.where(is_wall[:, None], points, far)
-        still = jnp.zeros(kept.shape[0])
-        began = jnp.zeros(()) if age is None else age
-
-        def gap(at: StateVector, time: Scalar) -> Scalar:
-            radii = still if speeds is None else speeds * time
-            return discs_clearance(
-                kept, radii, robot.position(at), robot.heading(at), robot.footprint
-            )
-
-        def room(at: StateVector) -> Scalar:
-            if walls is None:
-                return jnp.asarray(jnp.inf)
-            place = robot.position(at), robot.heading(at), robot.footprint
-            return discs_clearance(walls, still, *place)
-
-        def braking(start: StateVector, turn: Scalar, time: Scalar) -> tuple[Scalar, Scalar]:
-            """Return the least gap of the robot while it brakes, and its least distance from
-            walls."""
-
-            def step(
-                carry: tuple[StateVector, Scalar, Scalar, Count, Flag],
-            ) -> tuple[StateVector, Scalar, Scalar, Count, Flag]:
-                at, least, free, number, _ = carry
-                after = robot.step(
-                    at, robot.stopping_control(at, self.time_step, turn), self.time_step
-                )
-                is_moving = jnp.any(jnp.abs(robot.pose(after) - robot.pose(at)) > AT_REST)
-                # Who touches a robot that stands does so by himself.
-                passed = (number + is_moving.astype(jnp.int32)).astype(jnp.float32)
-                least = jnp.minimum(least, gap(after, time + passed * self.time_step))
-                return after, least, jnp.minimum(free, room(after)), number + 1, is_moving
-
-            def goes_on(carry: tuple[StateVector, Scalar, Scalar, Count, Flag]) -> Flag:
-                return carry[4] & (carry[3] < self.num_steps)
-
-            # A robot that touches a wall already may leave it.
-            begin = gap(start, time), jnp.asarray(jnp.inf), jnp.zeros((), jnp.int32)
-            carry = (start, *begin, jnp.array(True))
-            _, least, free, *_ = jax.lax.while_loop(goes_on, step, carry)
-            return least, free
-
+        seen = _Surroundings.of(robot, state, points, is_point, speeds, age, is_wall)
         # In the middle of a long command the robot may be closer than at its end.
         half = robot.step(state, control, 0.5 * duration)
         after = robot.step(half, control, 0.5 * duration)
-        here = gap(state, began)
-        passed = gap(half, began + 0.5 * duration)
+        here = seen.gap(robot, robot.pose(state), seen.age)
+        passed = seen.gap(robot, robot.pose(half), seen.age + 0.5 * duration)
         # A robot within the margin may move if it gets no closer, but for rounding. With more it
         # would creep on in each control period.
         enough = jnp.minimum(self.margin, here - ROUNDING)
         is_command = jnp.isfinite(control).all()
-        turns = jnp.linspace(-1.0, 1.0, self.num_turns) if self.num_turns > 1 else jnp.zeros(1)
-
-        def turn_after(*_: Any) -> Scalar:
-            found = jax.vmap(lambda turn: braking(after, turn, began + duration))(turns)
-            return jnp.minimum(passed, jnp.max(found[0]))
-
-        def brake(*_: Any) -> tuple[ControlVector, Scalar]:
-            gaps, rooms = jax.vmap(lambda turn: braking(state, turn, began))(turns)
-            # Of equal ones the straightest: distances are rounded to a millimetre for that. First
-            # of all one that touches no wall: that contact is sure, and somebody may go elsewhere.
-            touches = jnp.maximum(self.margin - rooms, 0.0)
-            best = jnp.argmax(jnp.round(gaps, 3) - 1e-4 * jnp.abs(turns) - TOUCH * touches)
-            return robot.stopping_control(state, duration, turns[best]), gaps[best]
-
-        # Loops of one iteration or none: after most commands the robot can brake straight, and
-        # turns cost the most.
-        straight, _ = braking(after, jnp.zeros(()), began + duration)
+        later = seen._replace(age=seen.age + duration)
+        straight = self._brake_with(robot, after, jnp.zeros(()), later)[0]
         planned = jnp.minimum(passed, straight)
-        is_tried = is_command & ~(planned >= enough)
-        planned = jax.lax.fori_loop(0, jnp.where(is_tried, 1, 0), turn_after, planned)
-        is_safe = is_command & (planned >= enough)
-        kept, least = jax.lax.fori_loop(0, jnp.where(is_safe, 0, 1), brake, (control, planned))
-        return Validated(kept, ~is_safe, least)
+
+        # After most commands the robot can brake straight. If not, it may brake with a turn after
+        # the command (stage 0), and if that does not do, in its place (stage 1). The stages are one
+        # loop, so that the turns are one program.
+        def is_tried(carry: tuple[Count, ControlVector, Scalar]) -> Flag:
+            stage, _, gap = carry
+            return (stage < 2) & ~(is_command & (gap >= enough))
+
+        def turn(
+            carry: tuple[Count, ControlVector, Scalar],
+        ) -> tuple[Count, ControlVector, Scalar]:
+            stage, _, _ = carry
+            is_first = stage == 0
+            start = jnp.where(is_first, after, state)
+            around = seen._replace(age=jnp.where(is_first, later.age, seen.age))
+            stopping, gap = self._brake(robot, start, duration, around)
+            gap = jnp.where(is_first, jnp.minimum(passed, gap), gap)
+            return stage + 1, jnp.where(is_first, control, stopping), gap
+
+        first = jnp.where(is_command, 0, 1).astype(jnp.int32)
+        stage, kept, least = jax.lax.while_loop(is_tried, turn, (first, control, planned))
+        return Validated(kept, stage == 2, least)
+
+    def brake(
+        self,
+        robot: Dynamics,
+        state: StateVector,
+        duration: Scalar,
+        points: Float[Array, "P 2"],
+        is_point: Bool[Array, " P"],
+    ) -> ControlVector:
+        """Return the control (nu,) that begins the best braking trajectory.
+
+        Args:
+            robot: model of the robot.
+            state: (nx,) state in which it takes effect.
+            duration: time until the next command takes effect [s].
+            points: (P, 2) measured points [m].
+            is_point: (P,) points that count.
+        """
+        seen = _Surroundings.of(robot, state, points, is_point)
+        return self._brake(robot, state, duration, seen)[0]
+
+    @property
+    def turns(self) -> Float[Array, " B"]:
+        """Shares of the steering of the braking trajectories."""
+        return jnp.linspace(-1.0, 1.0, self.num_turns) if self.num_turns > 1 else jnp.zeros(1)
+
+    def _brake(
+        self, robot: Dynamics, state: StateVector, duration: Scalar, seen: "_Surroundings"
+    ) -> tuple[ControlVector, Scalar]:
+        """Return the control that begins the best braking trajectory, and its least gap."""
+        turns = self.turns
+        gaps, rooms = jax.vmap(lambda turn: self._brake_with(robot, state, turn, seen))(turns)
+        # Of equal ones the straightest: distances are rounded to a millimetre for that. First of
+        # all one that touches no wall: that contact is sure, and somebody may go elsewhere.
+        touches = jnp.maximum(self.margin - rooms, 0.0)
+        best = jnp.argmax(jnp.round(gaps, 3) - 1e-4 * jnp.abs(turns) - TOUCH * touches)
+        return robot.stopping_control(state, duration, turns[best]), gaps[best]
+
+    def _brake_with(
+        self, robot: Dynamics, start: StateVector, turn: Scalar, seen: "_Surroundings"
+    ) -> tuple[Scalar, Scalar]:
+        """Return the least gap of the robot while it brakes, and its least distance from walls."""
+
+        def step(
+            carry: tuple[StateVector, Float[Array, "S 3"], Count, Flag],
+        ) -> tuple[StateVector, Float[Array, "S 3"], Count, Flag]:
+            at, poses, number, _ = carry
+            after = robot.step(at, robot.stopping_control(at, self.time_step, turn), self.time_step)
+            pose = robot.pose(after)
+            is_moving = jnp.any(jnp.abs(pose - robot.pose(at)) > AT_REST)
+            return after, poses.at[number + 1].set(pose), number + 1, is_moving
+
+        def goes_on(carry: tuple[StateVector, Float[Array, "S 3"], Count, Flag]) -> Flag:
+            return carry[3] & (carry[2] < self.num_steps)
+
+        # The loop ends when the robot stands, and has no points in it: all poses are compared with
+        # all points at once.
+        blank = jnp.broadcast_to(robot.pose(start), (1 + self.num_steps, 3))
+        carry = start, blank, jnp.zeros((), jnp.int32), jnp.array(True)
+        _, poses, number, is_moving = jax.lax.while_loop(goes_on, step, carry)
+        index = jnp.arange(1 + self.num_steps, dtype=jnp.int32)
+        poses = poses[jnp.minimum(index, number)]
+        # Who touches a robot that stands does so by himself.
+        moved = jnp.where(is_moving, number, number - 1)
+        times = seen.age + jnp.minimum(index, moved).astype(jnp.float32) * self.time_step
+        gaps = jax.vmap(lambda pose, time: seen.gap(robot, pose, time))(poses, times)
+        # A robot that touches a wall already may leave it.
+        return gaps.min(), jax.vmap(lambda pose: seen.room(robot, pose))(poses[1:]).min()
+
+
+class _Surroundings(NamedTuple):
+    """What a scan has met: points, the speeds with which they may move, and walls among them.
+
+    Points that do not count are far away, because shapes are static. `age` is the time since their
+    measurement [s].
+    """
+
+    points: Float[Array, "P 2"]
+    speeds: Float[Array, " P"]
+    walls: Float[Array, "P 2"] | None
+    age: Scalar
+
+    @classmethod
+    def of(
+        cls,
+        robot: Dynamics,
+        state: StateVector,
+        points: Float[Array, "P 2"],
+        is_point: Bool[Array, " P"],
+        speeds: Float[Array, " P"] | None = None,
+        age: Scalar | None = None,
+        is_wall: Bool[Array, " P"] | None = None,
+    ) -> "_Surroundings":
+        """Return what a robot in a state has around it, see `StopCheck`."""
+        far = FAR + robot.position(state)
+        return cls(
+            jnp.where(is_point[:, None], points, far),
+            jnp.zeros(points.shape[0]) if speeds is None else speeds,
+            None if is_wall is None else jnp.where(is_wall[:, None], points, far),
+            jnp.zeros(()) if age is None else age,
+        )
+
+    def gap(self, robot: Dynamics, pose: Pose, time: Scalar) -> Scalar:
+        """Return the distance of the robot's edge from the nearest point, a time after it was
+        measured."""
+        return discs_clearance(self.points, self.speeds * time, pose[:2], pose[2], robot.footprint)
+
+    def room(self, robot: Dynamics, pose: Pose) -> Scalar:
+        """Return the distance of the robot's edge from the nearest wall."""
+        if self.walls is None:
+            return jnp.asarray(jnp.inf)
+        still = jnp.zeros(self.walls.shape[0])
+        return discs_clearance(self.walls, still, pose[:2], pose[2], robot.footprint)
