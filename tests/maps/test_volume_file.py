@@ -17,6 +17,7 @@ from jaxplore.maps.files import mesh_process
 from jaxplore.maps.files.octomap_file import OctoMap
 from jaxplore.maps.files.volume_file import SUFFIXES, open_volume
 
+pytestmark = pytest.mark.long
 trimesh = pytest.importorskip("trimesh")
 
 

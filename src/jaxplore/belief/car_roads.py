@@ -196,7 +196,7 @@ class CarRoadmap(Roadmap):
         costs = self.costs(self._at_all_headings(source))
         step = jnp.asarray(3.0 * self.frame.resolution)
         planar = descent_field(costs.min(axis=(0, 1)), self.frame, LAYERS, self.corners)
-        return with_headings(planar, _extended(costs, step), self, costs), costs
+        return with_headings(planar, _extend(costs, step), self, costs), costs
 
     def _at_all_headings(self, source: Float[Array, "*headings H W"]) -> Float[Array, "N H W"]:
         return jnp.broadcast_to(source, self.is_open_at.shape)
@@ -319,10 +319,10 @@ def _relax(radius: float, margin: int, value: Array, prices: Array, reversal: Ar
         beyond = value[each.end, :, top : top + height, left : left + width]
         least[each.start].append(beyond + prices[number])
     nearest = jnp.stack([functools.reduce(jnp.minimum, each) for each in least])
-    return _turned_over(nearest, reversal)
+    return _turn_over(nearest, reversal)
 
 
-def _turned_over(costs: Float[Array, "N D H W"], reversal: Scalar) -> Float[Array, "N D H W"]:
+def _turn_over(costs: Float[Array, "N D H W"], reversal: Scalar) -> Float[Array, "N D H W"]:
     """Return the least of the costs and those in the other direction of travel with its price."""
     if costs.shape[1] == 1:
         return costs
@@ -330,7 +330,7 @@ def _turned_over(costs: Float[Array, "N D H W"], reversal: Scalar) -> Float[Arra
     return jnp.minimum(costs, jnp.roll(costs, HALF, axis=0)[:, ::-1] + reversal)
 
 
-def _extended(costs: Float[Array, "D N H W"], step: Scalar) -> Float[Array, "D N H W"]:
+def _extend(costs: Float[Array, "D N H W"], step: Scalar) -> Float[Array, "D N H W"]:
     """Fill closed poses from the poses around them, so that interpolation stays finite.
 
     Each layer gets the greatest finite value around it plus `step`. Poses that are still infinite

@@ -305,7 +305,7 @@ class MotionGuard(eqx.Module):
         control = jnp.where(jnp.isfinite(control), control, robot.default_control)
         return state._replace(commands=jnp.concatenate([state.commands[1:], control[None]]))
 
-    def braking(
+    def brake(
         self,
         robot: Dynamics,
         state: GuardState,

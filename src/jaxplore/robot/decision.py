@@ -96,7 +96,7 @@ class Driver(NamedTuple):
         control = jax.lax.fori_loop(
             0,
             jnp.where(jnp.isfinite(control).all(), 0, 1),
-            lambda *_: guard.braking(self.model, before, measured, points, self.period),
+            lambda *_: guard.brake(self.model, before, measured, points, self.period),
             control,
         )
         return control, guard.advance(self.model, watch, measured, control, self.period)
