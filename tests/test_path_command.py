@@ -74,9 +74,12 @@ def test_a_run_along_a_file_writes_a_folder_that_repeats_itself(file: Path, caps
 
 
 def test_without_a_file_it_drives_a_generated_track() -> None:
-    main(["run", "path", "--time-limit", "0.1", "--set", "track.seed=3", *SMALL, "--no-animation"])
-    length = float(np.load("runs/path/arrays.npz")["length"])
-    assert length == pytest.approx(float(jx.race_track(3).length))
+    main(["run", "path", "--time-limit", "0.1", *SMALL, "--no-animation"])
+    lengths = [float(jx.race_track(seed).length) for seed in (0, 3)]
+    assert lengths[0] != lengths[1]
+    assert float(np.load("runs/path/arrays.npz")["length"]) == pytest.approx(lengths[0])
+    other = build(make_path_settings({"track": {"seed": 3}})).scenario
+    assert float(other.path.length) == pytest.approx(lengths[1])
 
 
 def test_another_robot_follows() -> None:

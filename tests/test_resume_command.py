@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 
 import jaxplore as jx
 from jaxplore.cli import main
+from jaxplore.simulation.loop import run_chunk
 
 pytestmark = pytest.mark.long
 
@@ -35,7 +36,10 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_run_goes_on_where_it_ended(part: Path, capsys) -> None:
     longer = ["--time-limit", "1", "--no-animation"]
     main(["run", "--settings", str(part / "settings.yaml"), *longer, "--out", "whole"])
+    compiled = run_chunk._cached._cache_size()
     main(["run", "--resume", str(part), *longer, "--out", "rest", "--record", "rest.mcap"])
+    # A state of a file has the types of one from a start.
+    assert run_chunk._cached._cache_size() == compiled
     assert "rest.mcap" in capsys.readouterr().out.splitlines()
     whole, rest = (np.load(f"{name}/arrays.npz") for name in ("whole", "rest"))
     assert len(rest["coverage"]) == 50

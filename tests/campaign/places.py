@@ -27,12 +27,14 @@ from jaxplore.study.tuning.objective import flat, with_late_times
 
 BASE = "base"
 """Folder of the valid files, beside the folders of the cases."""
-FEW = ["--samples", "8", "--beams", "8", "--range", "1", "--set", "fields.num_directions=4"]
-FEW += ["--set", "controller.horizon=4"]
+FEW = ["--samples", "16", "--beams", "16", "--range", "1", "--set", "fields.num_directions=8"]
+FEW += ["--set", "controller.horizon=8"]
+# With these rates, those of comparisons on maps, they share the loop of the tests of these.
+FEW += ["--set", "rates={control: 20, sensing: 10, fields: 5}"]
 """Options of a run that compiles and computes little."""
 ROOM: dict[str, Any] = {
     "size": [4.0, 3.0],
-    "resolution": 0.2,
+    "resolution": 0.1,
     "start": [1.0, 1.5, 0.0],
     "zones": [[0.0, 0.0, 4.0, 3.0]],
 }
@@ -90,9 +92,9 @@ SETTINGS: dict[str, Any] = {
     "seed": 3,
     "time_limit": 2.0,
     "robot": {"radius": 0.2, "max_speed": 0.8},
-    "lidar": {"num_beams": 8, "max_range": 1.0},
-    "controller": {"num_samples": 8, "horizon": 4, "temperature": 0.5},
-    "fields": {"num_directions": 4},
+    "lidar": {"num_beams": 16, "max_range": 1.0},
+    "controller": {"num_samples": 16, "horizon": 8, "temperature": 0.5},
+    "fields": {"num_directions": 8},
     "parameters": {"cost.information.weight": 2.0},
     "start": [1.0, 1.5, 0.0],
 }

@@ -174,7 +174,7 @@ def test_without_a_pose_it_brakes_to_rest_and_says_why(free, fault, code, within
 def blind_guard() -> MotionGuard:
     """A guard that never finds that the odometry is frozen, and checks no command."""
     guard = MotionGuard(max_frozen=100.0)
-    return eqx.tree_at(lambda each: each.check.margin, guard, jnp.asarray(-100.0))
+    return eqx.tree_at(lambda each: each.check.margin, guard, jnp.asarray(-100.0, jnp.float32))
 
 
 def test_without_a_guard_it_runs_into_the_wall() -> None:

@@ -73,14 +73,14 @@ def initial_loop_state(
 
 @eqx.filter_jit
 def _initial_memory(controller: Controller) -> Any:
-    return controller.init()
+    return _with_strong_types(controller.init())
 
 
 @eqx.filter_jit
 def _initial_task(scenario: Scenario, key: Key | None) -> LoopState:
     robot, variation = scenario.robot, scenario.variation
     delay = scenario.disturbances.longest_delay
-    return LoopState(
+    state = LoopState(
         task=scenario.init(key)[0],
         controller=(),
         step=jnp.zeros((), jnp.int32),
@@ -89,6 +89,16 @@ def _initial_task(scenario: Scenario, key: Key | None) -> LoopState:
         drawn=None if variation is None else variation.draw(key, robot),
         guard=None if scenario.guard is None else scenario.guard.init(robot, scenario.start),
     )
+    return _with_strong_types(state)
+
+
+def _with_strong_types[Tree](tree: Tree) -> Tree:
+    """Return a tree without weak types: a state that is read from a file has none, and the program
+    that runs on from it is then that of a run from its start."""
+    result: Tree = jax.tree.map(
+        lambda leaf: jnp.asarray(leaf, leaf.dtype) if eqx.is_array(leaf) else leaf, tree
+    )
+    return result
 
 
 def closed_loop_step(
