@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from jaxplore import DifferentialDrive, MotionGuard
-from jaxplore.control.guard import FROZEN, GOOD, ScanPoints
+from jaxplore.control.guard import ScanPoints
+from jaxplore.control.stops import FROZEN, GOOD
 
 ROBOT = DifferentialDrive(max_speed=1.0)
 PERIOD = jnp.asarray(0.05)
@@ -29,7 +30,7 @@ def after_commands(delay: int, stop: int):
     return state._replace(
         commands=jnp.asarray(COMMANDS),
         errors=jnp.asarray(errors),
-        stop=jnp.asarray(stop, jnp.int32),
+        stops=state.stops._replace(code=jnp.asarray(stop, jnp.int32)),
     )
 
 
@@ -52,9 +53,7 @@ def test_a_stopped_robot_moves_by_its_braking() -> None:
 
 
 keep = eqx.filter_jit(
-    lambda start, control, scan, time: GUARD.keep_clear(
-        ROBOT, after_commands(0, GOOD), start, control, scan, time, PERIOD
-    )
+    lambda start, control, scan, age: GUARD.keep_clear(ROBOT, start, control, scan, age, PERIOD)
 )
 
 
@@ -78,11 +77,12 @@ def test_a_command_is_kept_unless_the_robot_could_not_stand_in_time() -> None:
             is_point=jnp.asarray([True, True, False]),
             speeds=jnp.asarray([1.6, speed, 1.6]),
         )
-        found = np.asarray(keep(start, go, scan, jnp.asarray(10.0 + age)))
+        checked = keep(start, go, scan, jnp.asarray(age))
+        found = np.asarray(checked.control)
+        assert bool(checked.is_replaced) != is_kept
         assert np.array_equal(found, go) == is_kept, (x, y, speed, age)
         if not is_kept:
             assert found[0] < -0.9
     # On hills, points say nothing of commands.
-    given = ROBOT, after_commands(0, GOOD), start, go
     hills = ScanPoints.blank(3, is_on_hills=True)
-    assert GUARD.keep_clear(*given, hills, jnp.zeros(()), PERIOD) is go
+    assert GUARD.keep_clear(ROBOT, start, go, hills, jnp.zeros(()), PERIOD).control is go

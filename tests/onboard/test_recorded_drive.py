@@ -1,18 +1,20 @@
-"""One recorded drive, given to the robot inside the closed loop of a simulation and to the mapper
-of a pilot: both know the same."""
+"""One recorded drive, given to the robot inside the closed loop of a simulation, to the mapper of a
+pilot and to a whole pilot: all know, stop and command the same."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.onboard.conftest import ROBOT, rooms, scenario_in
+from tests.onboard.conftest import LIDAR, ROBOT, rooms, scenario_in
 
 from jaxplore import Faults, MotionGuard, OccupancyGrid
 from jaxplore.control.base import Controller, Info
-from jaxplore.control.guard import BLIND, FROZEN, GOOD, JUMPED, MISFIT
+from jaxplore.control.stops import BLIND, FROZEN, GOOD, JUMPED, MISFIT, REASONS
 from jaxplore.onboard.log import DriveLog
 from jaxplore.onboard.mapper import Mapper
+from jaxplore.onboard.options import PilotOptions
+from jaxplore.onboard.pilot import Pilot
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.loop import closed_loop_step, initial_loop_state, moment_at, step_keys
 
@@ -34,7 +36,8 @@ class Circles(Controller):
 
     def step(self, state, observation, belief=None, *, key):
         speeds = observation[3:]
-        noise = jax.random.uniform(key, (2,), minval=-0.1, maxval=0.1)
+        # Commands differ from step to step, as those of MPPI do.
+        noise = 0.1 * jnp.sin(40.0 * observation[:2])
         wanted = jnp.array([0.3, 1.2]) + noise - speeds
         command = jnp.clip(2.0 * wanted, ROBOT.control_min, ROBOT.control_max)
         one = jnp.ones(())
@@ -74,6 +77,9 @@ def drives():
     controller, key = Circles(), jax.random.key(4)
     state = initial_loop_state(controller, scenario, key)
     mapper = Mapper(scenario, DriveLog(scenario))
+    options = PilotOptions(latency=0.0, max_frozen=float(scenario.guard.max_frozen), margin=0.0)
+    pilot, told, commands = Pilot(scenario, controller, key, options), [], []
+    angles = LIDAR.beam_angles
     stops, known, fields, frozen = [], [], 0, None
     for number in range(round(SECONDS / scenario.period)):
         now = number * scenario.period
@@ -87,6 +93,15 @@ def drives():
         measured = measure(scenario, state, key)
         state, record = step(controller, scenario, state, key)
         stops.append(int(record.stop))
+        commands.append(np.asarray(state.task.robot)[3:])
+        pilot.add_odometry(now, np.asarray(measured.pose, np.float64), robot[[3, 3, 4]] * [1, 0, 1])
+        if bool(measured.is_scan_due) and not bool(measured.is_blind):
+            scan = Scan(*measured.scans[0])
+            beams = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+            ends = np.asarray(scan.ranges)[:, None] * beams
+            pilot.add_scan(now, scan, ends[np.asarray(scan.is_return)])
+        told.append(pilot.command(now))
+        pilot.update_belief(now)
         is_trusted = stops[-1] in (GOOD, MISFIT, BLIND)
         if not is_trusted:
             mapper.distrust()
@@ -101,17 +116,31 @@ def drives():
             assert mapper.update_fields(scenario.perception, fields * period, pose) is not None
         if bool(measured.is_scan_due):
             known.append((now, state.task.belief, mapper.belief, mapper.is_misfit))
-    return np.array(stops), known
+    return np.array(stops), known, told, np.array(commands)
 
 
 def test_the_drive_has_all_that_can_go_wrong(drives) -> None:
-    stops, known = drives
+    stops, known, *_ = drives
     assert set(stops.tolist()) == {GOOD, FROZEN, JUMPED, BLIND, MISFIT}
     misfits = [time for time, *_, is_misfit in known if is_misfit]
     assert misfits
     assert min(misfits) > WALLS - 0.2
     # After a while the walls are in the map.
     assert not known[-1][-1]
+
+
+def test_both_stop_for_the_same_reasons_at_the_same_times(drives) -> None:
+    stops, _, told, _ = drives
+    begins = {GOOD: "", JUMPED: "the pose jumped by", BLIND: "the scan is "}
+    for number, (code, command) in enumerate(zip(stops.tolist(), told, strict=True)):
+        assert command.reason.startswith(begins.get(code, REASONS[code])), (number, code, command)
+        assert (command.reason == "") == (code == GOOD), (number, code, command)
+
+
+def test_both_command_the_same_but_for_rounding_where_neither_is_stopped(drives) -> None:
+    stops, _, told, commands = drives
+    twists = np.array([each.twist for each in told])[:, [0, 2]]
+    np.testing.assert_allclose(twists[stops == GOOD], commands[stops == GOOD], atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["grid", "clearance", "information", "guidance", "dwell"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.control.guard import LOST
+from jaxplore.control.stops import LOST
 from jaxplore.localisation import Localiser, LoopCloser, ParticleFilter, ParticleLocaliser
 from jaxplore.simulation import Faults, Localisation
 from jaxplore.simulation.exploration.carrying import landing

@@ -21,8 +21,8 @@ from jaxplore import (
     Variation,
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.guard import BLIND, FROZEN, GOOD, LOST, MISFIT, REASONS
 from jaxplore.control.plausibility import MAX_AGE
+from jaxplore.control.stops import BLIND, FROZEN, GOOD, LOST, MISFIT, REASONS
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
 pytestmark = pytest.mark.long
@@ -137,8 +137,8 @@ def test_without_scans_it_brakes_as_on_a_robot_and_goes_on_with_them(free) -> No
     assert 0.9 + MAX_AGE < first * PERIOD + 1e-6 <= 0.9 + MAX_AGE + PERIOD + 1e-3
     assert (stops[first : last + 1] == BLIND).all()
     assert REASONS[BLIND] == "the scan is old"
-    # The first scan after the dropout is at 3.0 s.
-    assert last * PERIOD == pytest.approx(3.0)
+    # The first scan after the dropout is at 3.0 s, and ends the stop in its own period.
+    assert last * PERIOD == pytest.approx(3.0 - PERIOD)
     speeds = found.robots[:, 3]
     assert speeds[first] > 0.5
     braking = round(speeds[first] / 1.0 / PERIOD) + 1

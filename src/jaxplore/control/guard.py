@@ -11,27 +11,19 @@ from jaxtyping import Array, Bool, Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Scalar, StateVector, Twist
 from jaxplore.control.latency import predict_state
-from jaxplore.control.plausibility import (
-    JUMP_SECONDS,
-    MAX_AGE,
-    MAX_MISFIT,
-    RETRY_SECONDS,
-    is_jump,
-    is_moving,
+from jaxplore.control.plausibility import MAX_AGE, is_jump, is_moving
+from jaxplore.control.stops import (
+    AGE_ROUNDING,
+    BLIND,
+    GOOD,
+    JUMPED,
+    Evidence,
+    StopState,
+    next_stop,
 )
-from jaxplore.control.validation import StopCheck
+from jaxplore.control.validation import StopCheck, Validated
 from jaxplore.dynamics.base import Dynamics
 
-GOOD, LOST, FROZEN, JUMPED, MISFIT, BLIND = range(6)
-REASONS = (
-    "",
-    "the pose is lost",
-    "the pose does not change although the robot was told to move",
-    "the pose jumped",
-    "the scan does not fit the map",
-    "the scan is old",
-)
-"""Why a robot is stopped, by code; code 0 is none."""
 LATE = 1.5
 """Multiple of the time between two scans that a scan may be old, where that is more than the age
 that is accepted."""
@@ -87,18 +79,19 @@ class GuardState(NamedTuple):
             robot was told to brake.
         errors: (N,) recent squared errors of the predicted speeds if commands take effect after
             0, 1, ..., N - 1 control periods.
-        still: time for which the pose has been the same although the robot should move [s].
-        stop: why the robot is stopped, an index into `REASONS`; 0 if it is not.
-        since: time for which it has been stopped for that reason [s].
+        stops: whether the robot is stopped, and what has led to it.
     """
 
     expected: StateVector
     velocity: Twist
     commands: Float[Array, "N nu"]
     errors: Float[Array, " N"]
-    still: Scalar
-    stop: Count
-    since: Scalar
+    stops: StopState
+
+    @property
+    def stop(self) -> Count:
+        """Why the robot is stopped, an index into `stops.REASONS`; 0 if it is not."""
+        return self.stops.code
 
 
 class MotionGuard(eqx.Module):
@@ -112,6 +105,7 @@ class MotionGuard(eqx.Module):
     - the pose is too far from where the commands lead (`plausibility.is_jump`), and 1 s after that;
     - the newest scan is older than `max_age`, or than 1.5 times the time between two scans where
       that is more;
+    - on a robot, the scan is the same for longer than `max_frozen` although the robot moves;
     - more than half of the returns of the newest scan contradict the map
       (`plausibility.scan_misfit`).
 
@@ -169,15 +163,12 @@ class MotionGuard(eqx.Module):
             state: (nx,) state of the robot.
         """
         number = 1 + self.max_delay
-        nothing = jnp.zeros(())
         return GuardState(
             state,
             jnp.zeros(3),
             jnp.broadcast_to(robot.default_control, (number, robot.control_size)),
             jnp.zeros(number),
-            nothing,
-            jnp.zeros((), jnp.int32),
-            nothing,
+            StopState.initial(),
         )
 
     def judge(
@@ -201,37 +192,31 @@ class MotionGuard(eqx.Module):
             time: present time [s].
             period: control period [s].
         """
-        misfit = scan.misfit
-        # Times are products in single precision.
-        is_blind = time - scan.time > jnp.maximum(self.max_age, LATE * scan.interval) + 1e-3
-        pose = robot.pose(observed)
+        most = jnp.maximum(self.max_age, LATE * scan.interval) + AGE_ROUNDING
+        pose, before = robot.pose(observed), state.stop
         is_same = (pose == robot.pose(last)).all()
-        still = jnp.where(is_same & is_moving(state.velocity), state.still + period, 0.0)
         is_lost = ~jnp.isfinite(observed).all()
-        before, since = state.stop, state.since + period
-        # A robot that stands has the same pose for ever, so it tries again where its scan fits.
-        is_waiting = (since < RETRY_SECONDS) | (misfit > MAX_MISFIT)
-        is_stuck = is_same & (before == FROZEN) & is_waiting
-        is_frozen = (still > self.max_frozen) | is_stuck
-        is_new = is_jump(robot.pose(state.expected), pose)
-        jumped = is_new | ((before == JUMPED) & (since < JUMP_SECONDS))
-        stop = jnp.select(
-            [is_lost, is_frozen, jumped, is_blind, misfit > MAX_MISFIT],
-            [jnp.asarray(code, jnp.int32) for code in (LOST, FROZEN, JUMPED, BLIND, MISFIT)],
-            jnp.zeros((), jnp.int32),
+        no = jnp.array(False)
+        found = Evidence(
+            elapsed=period,
+            is_lost=is_lost,
+            is_same=is_same,
+            is_driven=is_moving(state.velocity),
+            is_jump=is_jump(robot.pose(state.expected), pose) & ~is_lost,
+            is_blind=time - scan.time > most,
+            is_scan_same=no,
+            is_repeat=no,
+            misfit=scan.misfit,
         )
-        # A pose that jumps again must fit for a second again.
-        is_continued = (stop == before) & ~((stop == JUMPED) & is_new)
+        stops = next_stop(state.stops, found, self.max_frozen)
+        stop = stops.code
         errors = self._errors(robot, state, observed, last, period)
         is_whole = (stop == GOOD) & (before == GOOD) & ~is_same
+        is_pose = (stop == GOOD) | (stop == JUMPED) | (stop == BLIND)
         return state._replace(
-            expected=jnp.where(
-                (stop == GOOD) | (stop == JUMPED) | (stop == BLIND), observed, state.expected
-            ),
+            expected=jnp.where(is_pose, observed, state.expected),
             errors=jnp.where(is_whole, errors, state.errors),
-            still=still,
-            stop=stop,
-            since=jnp.where(is_continued, since, 0.0),
+            stops=stops,
         )
 
     def delay(self, state: GuardState, known: Count) -> Count:
@@ -267,37 +252,34 @@ class MotionGuard(eqx.Module):
     def keep_clear(
         self,
         robot: Dynamics,
-        state: GuardState,
         start: StateVector,
         control: ControlVector,
         scan: ScanPoints,
-        time: Scalar,
+        age: Scalar,
         period: Scalar,
-    ) -> ControlVector:
+    ) -> Validated:
         """Return the command (nu,), or the one that brakes, where the robot could not stand before
         it comes within the margin of `StopCheck` of a point, or before what moves could reach it.
 
         Args:
             robot: model of the robot.
-            state: the guard's state.
             start: (nx,) state in which the command takes effect.
             control: (nu,) the command; one that is not finite stays.
             scan: the newest scan.
-            time: present time [s].
+            age: time from the scan to the effect of the command [s].
             period: control period [s].
         """
+        given = Validated(control, jnp.array(False), jnp.asarray(math.inf, jnp.float32))
         if scan.speeds is None:
-            return control
-        number = self.delay(state, jnp.zeros((), jnp.int32)).astype(jnp.float32)
-        age = time - scan.time + number * period
+            return given
         is_wall = scan.is_point & (scan.speeds == 0.0)
         args = robot, start, control, period, scan.points, scan.is_point, scan.speeds, age, is_wall
         # As for braking: a loop of one iteration or none.
         is_needed = scan.is_point.any() & jnp.isfinite(control).all()
-        kept: ControlVector = jax.lax.fori_loop(
-            0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args).control, control
+        checked: Validated = jax.lax.fori_loop(
+            0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args), given
         )
-        return kept
+        return checked
 
     def add_command(self, robot: Dynamics, state: GuardState, control: ControlVector) -> GuardState:
         """Note a command that was sent; NaN where the robot was told to brake."""

@@ -1,81 +1,97 @@
-"""Decide from the data themselves whether a robot may move."""
+"""Find in the data themselves whether a robot may move, and say why not."""
 
 import math
 
 import numpy as np
 
-from jaxplore.control.guard import FROZEN, REASONS
-from jaxplore.control.plausibility import JUMP_SECONDS, RETRY_SECONDS, is_moving
+from jaxplore.control.guard import MotionGuard
+from jaxplore.control.plausibility import JUMP_SECONDS, is_moving
+from jaxplore.control.stops import (
+    AGE_ROUNDING,
+    BLIND,
+    JUMPED,
+    LOST,
+    REASONS,
+    Evidence,
+    StopState,
+)
+from jaxplore.onboard import steps
 from jaxplore.onboard.odometry import PoseHistory
 from jaxplore.onboard.options import PilotOptions
 
-_FROZEN = {
-    "pose": REASONS[FROZEN],
-    "scan": "the scan does not change although the robot moves",
-}
-
 
 class DataCheck:
-    """Says why a robot must not move: data that are missing, old, frozen or impossible."""
+    """Gathers what data say, and says why a robot must not move, by the rule of `next_stop`."""
 
-    def __init__(self, options: PilotOptions, history: PoseHistory) -> None:
-        self._options, self._history = options, history
-        self._jump: tuple[float, str] | None = None
+    def __init__(self, guard: MotionGuard, options: PilotOptions, history: PoseHistory) -> None:
+        self._guard, self._options, self._history = guard, options, history
+        self._state = StopState.initial()
+        self._jump = ""
+        self._is_jump = False
+        self._judged_at: float | None = None
+        self._still_at = -math.inf
         self.forget()
 
     def forget(self) -> None:
         """Forget the scans, as the poses are forgotten: the clock has jumped."""
         self._scan_time: float | None = None
-        self._scan_changed_at = self._still_at = -math.inf
-        self._frozen: tuple[float, str] | None = None
+        self._is_scan_same, self._is_repeat, self._pose_changed_at = True, False, -math.inf
 
     def add_scan(self, time: float, *, is_changed: bool) -> None:
         """Note the time of a scan [s], and whether it differs from the one before it."""
         self._scan_time = time
-        if is_changed:
-            self._scan_changed_at = time
+        self._is_repeat = not is_changed
+        self._is_scan_same &= self._is_repeat
 
-    def add_jump(self, time: float, problem: str) -> None:
+    def add_jump(self, problem: str) -> None:
         """Note a pose that is impossible, or a clock that jumped, and why."""
-        self._jump = (time, problem)
+        self._jump, self._is_jump = problem, True
 
-    def problem(self, now: float, twist: np.ndarray) -> str | None:
-        """Return why the robot must not move; None if it may. `twist` (3,) is the last command."""
+    def judge(self, now: float, twist: np.ndarray, *, is_misfit: bool) -> tuple[int, str]:
+        """Return why the robot must not move, an index into `REASONS`, and in words.
+
+        `now` is the present time [s] and `twist` (3,) the last command. `is_misfit` is whether the
+        newest scan contradicts the map.
+        """
         last, options = self._history.last, self._options
-        if self._jump is not None and now - self._jump[0] >= JUMP_SECONDS:
-            self._jump = None
-        jump = None if self._jump is None else self._jump[1]
-        if last is None:
-            return jump or "no odometry yet"
-        if self._scan_time is None:
-            return jump or "no scan yet"
-        for name, time in (("odometry", last.time), ("scan", self._scan_time)):
-            if now - time > options.max_age:
-                return f"the {name} is {now - time:.2f} s old"
-        if jump is not None:
-            return jump
-        return self._find_frozen(now, twist) if options.is_obeyed else None
-
-    def _find_frozen(self, now: float, twist: np.ndarray) -> str | None:
-        """Return which measurement repeats itself although the robot should move; None if none."""
-        last, limit = self._history.last, self._options.max_frozen
-        assert last is not None
-        changed = {"pose": self._history.changed_at, "scan": self._scan_changed_at}
-        if self._frozen is not None:
-            since, name = self._frozen
-            # A robot that stands may have the same pose for ever, so it tries again.
-            is_retried = name == "pose" and now - since > RETRY_SECONDS
-            if changed[name] <= since and not is_retried:
-                return _FROZEN[name]
-            self._frozen, self._still_at = None, now
-        # A robot that stands may measure the same again and again.
+        elapsed = 0.0 if self._judged_at is None else max(0.0, now - self._judged_at)
+        self._judged_at = now
+        # A robot that stands may measure the same again and again, and a command has no effect
+        # before the latency.
         if not is_moving(twist):
             self._still_at = now
-        # A command has no effect before the latency.
-        moving_since = self._still_at + self._options.latency
-        has_moved = bool(is_moving(last.twist, 0.5))
-        for name, is_suspect in (("pose", True), ("scan", has_moved)):
-            if is_suspect and now - max(changed[name], moving_since) > limit:
-                self._frozen = (now, name)
-                return _FROZEN[name]
-        return None
+        pose_age = math.inf if last is None else now - last.time
+        scan_age = math.inf if self._scan_time is None else now - self._scan_time
+        changed_at, most = self._history.changed_at, options.max_age + AGE_ROUNDING
+        self._next(
+            elapsed=elapsed,
+            is_lost=pose_age > most,
+            is_same=changed_at <= self._pose_changed_at,
+            is_driven=options.is_obeyed and now - self._still_at > options.latency,
+            is_jump=self._is_jump,
+            is_blind=scan_age > most,
+            is_scan_same=self._is_scan_same,
+            is_repeat=self._is_repeat and last is not None and bool(is_moving(last.twist, 0.5)),
+            misfit=float(is_misfit),
+        )
+        self._is_jump, self._is_scan_same, self._pose_changed_at = False, True, changed_at
+        code = int(self._state.code)
+        return code, self._describe(code, pose_age, scan_age)
+
+    def prepare(self) -> None:
+        """Compile the rule."""
+        self._next(**dict.fromkeys(Evidence._fields, 0.0))
+
+    def _next(self, **found: float) -> None:
+        numbers = np.array([found[name] for name in Evidence._fields], np.float32)
+        self._state = steps.judge(self._state, numbers, self._guard.max_frozen)
+
+    def _describe(self, code: int, pose_age: float, scan_age: float) -> str:
+        """Return in words why a robot is stopped."""
+        if code not in (LOST, BLIND):
+            return self._jump if code == JUMPED else REASONS[code]
+        name, age = ("odometry", pose_age) if code == LOST else ("scan", scan_age)
+        if math.isfinite(age):
+            return f"the {name} is {age:.2f} s old"
+        # After a jump of the clock there are no data either.
+        return self._jump if float(self._state.jump) < JUMP_SECONDS else f"no {name} yet"

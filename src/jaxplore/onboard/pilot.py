@@ -10,7 +10,8 @@ from jaxplore import _kinds
 from jaxplore._types import Key
 from jaxplore._xla import on_device
 from jaxplore.control.base import Controller
-from jaxplore.control.guard import MISFIT, REASONS
+from jaxplore.control.guard import MotionGuard
+from jaxplore.control.stops import GOOD, MISFIT
 from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.goal_check import Motion
 from jaxplore.onboard import steps
@@ -95,7 +96,11 @@ class Pilot:
         self.options = PilotOptions() if options is None else options
         self.sensor, self.robot = scenario.sensors[0], scenario.robot
         self.period = scenario.period
-        self.check = StopCheck(self.options.margin)
+        self.guard = MotionGuard(
+            self.options.max_frozen,
+            check=StopCheck(self.options.margin),
+            max_age=self.options.max_age,
+        )
         self.is_started = True
         self.log = DriveLog(scenario)
         if task is None:
@@ -120,7 +125,7 @@ class Pilot:
         self._new: list[TakenScan] = []
         self._scan: TakenScan | None = None
         self._points, self._seen = no_points(), RecentPoints()
-        self._data = DataCheck(self.options, self._history)
+        self._data = DataCheck(self.guard, self.options, self._history)
         self._number = 0
         self.num_replaced = 0
         self._finished = ""
@@ -154,6 +159,7 @@ class Pilot:
     def prepare(self) -> None:
         """Compile everything that the loop calls, so that no command waits for it."""
         self._mapper.prepare(self.task.perception)
+        self._data.prepare()
         self.task.prepare(TaskControl(self.controller, self.robot, self._expected))
         planned = self._plan(np.asarray(self._expected, np.float32), 0.0, self.period)
         steps.apply_correction(self.robot, self._expected, np.zeros(3), np.zeros(3))
@@ -187,7 +193,7 @@ class Pilot:
         self._history.forget(after=time)
         problem = self._poses.add(time, pose, twist)
         if problem is not None:
-            self._data.add_jump(time, problem)
+            self._data.add_jump(problem)
 
     def add_scan(
         self,
@@ -243,24 +249,23 @@ class Pilot:
         self._data.forget()
         self._scan, self._new = None, []
         self._seen.forget()
-        self._data.add_jump(self._clock.time, why)
+        self._data.add_jump(why)
 
     def _command(self, now: float, elapsed: float) -> Command:
         self._take_known()
-        problem = self._data.problem(now, self._twist)
-        if problem is not None:
+        code, problem = self._data.judge(now, self._twist, is_misfit=self._mapper.is_misfit)
+        # Scans are taken while they do not fit the map, so that the robot sees when they do again.
+        is_trusted = code in (GOOD, MISFIT)
+        if not is_trusted:
             self._mapper.distrust()
         if self._clock.is_standing:
-            problem = "the simulated clock stands still"
-        scan_time = None if problem else self._take_scan(now)
-        # Scans are taken while they do not fit the map, so that the robot sees when they do again.
-        if problem is None and self._mapper.is_misfit:
-            problem = REASONS[MISFIT]
+            is_trusted, problem = False, "the simulated clock stands still"
+        scan_time = self._take_scan(now) if is_trusted else None
         if self._finished:
             return self._ramp_down(now, elapsed, Mode.DONE, self._finished)
         if not self.is_started:
             return self._ramp_down(now, elapsed, Mode.PAUSED, "paused")
-        if problem is not None:
+        if problem:
             is_blank = self._history.last is None or self._scan is None
             mode = Mode.WAITING if is_blank and not self._twist.any() else Mode.BRAKING
             return self._ramp_down(now, elapsed, mode, problem)
@@ -447,7 +452,7 @@ class Pilot:
         return steps.plan(
             self.controller,
             self.robot,
-            self.check,
+            self.guard,
             self.task.perception.tracker,
             self._memory,
             self._known.belief,

@@ -13,9 +13,11 @@ from jaxplore._types import ControlVector, Count, Flag, GridMask, Key, Pose, Sca
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller
+from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.control.latency import predict_state
-from jaxplore.control.validation import StopCheck
+from jaxplore.control.stops import Evidence, StopState, next_stop
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.robot.decision import Driver
 from jaxplore.robot.localisation import Motions, correct_state
 from jaxplore.robot.robot import Measurement, Robot, RobotState, Sight
 from jaxplore.sensing.beams import Scan
@@ -134,6 +136,17 @@ def _apply_correction(
     return correct_state(robot, state, before, after)
 
 
+@jax.jit
+def judge(state: StopState, numbers: Float[Array, " E"], max_frozen: Scalar) -> StopState:
+    """Return whether the robot is stopped, see `next_stop`.
+
+    `numbers` are the fields of `Evidence`, flags as 0 or 1: one array is one transfer.
+    """
+    named = dict(zip(Evidence._fields, numbers, strict=True))
+    flags = {name: each > 0.5 for name, each in named.items() if name.startswith("is_")}
+    return next_stop(state, Evidence(**{**named, **flags}), max_frozen)
+
+
 class PlanInputs(NamedTuple):
     """What a plan starts from.
 
@@ -166,7 +179,7 @@ class PlanInputs(NamedTuple):
 def plan(
     controller: Controller,
     robot: Dynamics,
-    check: StopCheck,
+    guard: MotionGuard,
     tracker: ObstacleTracker | None,
     memory: Any,
     belief: Any,
@@ -174,23 +187,24 @@ def plan(
     period: Scalar,
     key: Key,
 ) -> Planned:
-    """Predict the state in which a command takes effect, plan from there, and check the command.
+    """Predict the state in which a command takes effect, and plan from there, see `Driver.plan`.
 
-    The model `robot` predicts the state, and `check` checks the command against the scan. `tracker`
-    tracks moving obstacles; None if nothing moves.
+    The model `robot` predicts the state. `tracker` tracks moving obstacles; None if nothing moves.
     """
     key = jax.random.fold_in(key, inputs.number)
     start = predict_state(robot, inputs.state, inputs.sent, inputs.durations)
     start = _with_commanded_speeds(robot, start, inputs.expected)
     adapted = controller.at_period(inputs.elapsed)
-    points, is_point, speeds = inputs.points, inputs.is_point, None
+    points, is_point = inputs.points, inputs.is_point
+    speeds = jnp.zeros(points.shape[0])
     if tracker is not None and belief.tracks is not None and belief.obstacles is not None:
         speeds = tracker.possible_speeds(belief.tracks, belief.clearance, points, is_point)
         later = belief.obstacles.advance(inputs.since_map)
         belief = dataclasses.replace(belief, obstacles=later)
-    control, memory, info = adapted.step(memory, start, belief, key=key)
-    is_wall = None if speeds is None else is_point & (speeds == 0.0)
-    checked = check(robot, start, control, period, points, is_point, speeds, inputs.age, is_wall)
+    none = jnp.zeros(())
+    scan = ScanPoints(points, is_point, none, none, none, speeds)
+    driver = Driver(robot, adapted, guard, period)
+    checked, memory, info = driver.plan(guard, memory, start, belief, scan, inputs.age, key)
     controls = _resample_plan(controller, info.controls, checked.control, period)
 
     def step(at: StateVector, each: ControlVector) -> tuple[StateVector, tuple[Array, Array]]:
@@ -202,7 +216,7 @@ def plan(
         info.is_finite
         & jnp.isfinite(start).all()
         & jnp.isfinite(twists).all()
-        & jnp.isfinite(control).all()
+        & jnp.isfinite(checked.control).all()
     )
     return Planned(
         controls,

@@ -8,8 +8,10 @@ import jax.numpy as jnp
 
 from jaxplore._types import ControlVector, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info
-from jaxplore.control.guard import GOOD, LOST, GuardState, MotionGuard, ScanPoints
+from jaxplore.control.guard import GuardState, MotionGuard, ScanPoints
 from jaxplore.control.latency import LatencyCompensation
+from jaxplore.control.stops import GOOD, LOST
+from jaxplore.control.validation import Validated
 from jaxplore.dynamics.base import Dynamics
 
 
@@ -64,16 +66,37 @@ class Driver(NamedTuple):
         known = jnp.round(latency / self.period).astype(jnp.int32)
         ahead = guard.predict(self.model, watch, known, self.period)
         start = jnp.where(is_stopped, jnp.nan, ahead)
-        control, after, info = controller.step(memory, start, belief, key=key)
-        # A command that is not finite is none: the robot's base then brakes.
-        control = jnp.where(is_stopped, jnp.nan, control)
-        control = guard.keep_clear(self.model, watch, start, control, points, time, self.period)
+        delay = guard.delay(watch, jnp.zeros((), jnp.int32)).astype(jnp.float32)
+        age = time - points.time + delay * self.period
+        checked, after, info = self.plan(guard, memory, start, belief, points, age, key)
+        control = checked.control
         # The controller starts anew from rest: its plan was not executed.
         after = jax.tree.map(functools.partial(jnp.where, is_stopped), controller.init(), after)
         watch = guard.add_command(self.model, watch, control)
         # A plan that was not asked for is no failure of the controller.
         is_finite = info.is_finite | (is_stopped & (watch.stop != LOST))
         return Decided(control, after, watch, info._replace(is_finite=is_finite))
+
+    def plan(
+        self,
+        guard: MotionGuard,
+        memory: Any,
+        start: StateVector,
+        belief: Any,
+        points: ScanPoints,
+        age: Scalar,
+        key: Key,
+    ) -> tuple[Validated, Any, Info]:
+        """Return the command that is planned from the state (nx,) in which it takes effect.
+
+        The guard has checked it against the newest scan. `age` is the time from the scan to the
+        effect of the command [s]. The state of the controller after it and what it says follow.
+        """
+        control, memory, info = self.controller.step(memory, start, belief, key=key)
+        # A command that is not finite is none: the robot's base then brakes.
+        control = jnp.where(jnp.isfinite(start).all(), control, jnp.nan)
+        checked = guard.keep_clear(self.model, start, control, points, age, self.period)
+        return checked, memory, info
 
     def actuate(
         self,

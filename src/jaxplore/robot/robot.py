@@ -12,8 +12,9 @@ from jaxplore._types import Flag, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception
-from jaxplore.control.guard import BLIND, GOOD, MISFIT, GuardState, ScanPoints
+from jaxplore.control.guard import GuardState, ScanPoints
 from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump, scan_misfit
+from jaxplore.control.stops import BLIND, GOOD, MISFIT
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose, transform_points
 from jaxplore.maps.occupancy_grid import OccupancyGrid

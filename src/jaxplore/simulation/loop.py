@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxplore._types import Count, Key, StateVector
 from jaxplore.control.base import Controller
-from jaxplore.control.guard import GOOD
+from jaxplore.control.stops import GOOD
 from jaxplore.robot.decision import Driver
 from jaxplore.simulation.chunks import loop
 from jaxplore.simulation.scenario import Scenario
@@ -54,7 +54,7 @@ def _judge(scenario: Scenario, state: LoopState, moment: Moment) -> Moment:
         state.guard,
         moment.observed,
         state.observed,
-        scenario.scan_points(state.task),
+        scenario.scan_points(state.task, moment),
         moment.time,
         scenario.control_period,
     )

@@ -109,11 +109,13 @@ class Scenario(eqx.Module):
         robot: StateVector = state.robot
         return robot
 
-    def scan_points(self, state: Any) -> ScanPoints:
+    def scan_points(self, state: Any, moment: Moment | None = None) -> ScanPoints:
         """Return the newest scan for the guard, by which a stopped robot brakes; by default none.
 
         Args:
             state: the task's state, as `perceive` returned it.
+            moment: time of the step before whose `perceive` the guard judges. If a scan comes in
+                it, that is the time of the newest one.
         """
         return ScanPoints.blank(1)
 

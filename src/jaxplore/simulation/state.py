@@ -33,7 +33,7 @@ class Moment(NamedTuple):
 
     @property
     def stop(self) -> Count | None:
-        """Why the guard stops the robot, an index into `control.guard.REASONS`; None without a
+        """Why the guard stops the robot, an index into `control.stops.REASONS`; None without a
         guard."""
         return None if self.guard is None else self.guard.stop
 

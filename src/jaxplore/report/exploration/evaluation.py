@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxplore.control.guard import REASONS
+from jaxplore.control.stops import REASONS
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
 from jaxplore.report._numbers import finite
 from jaxplore.report.exploration.anomalies import anomaly_metrics

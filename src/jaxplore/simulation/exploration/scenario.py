@@ -554,9 +554,15 @@ class ExplorationScenario(Scenario):
             self.counts_walls,
         )
 
-    def scan_points(self, state: ExplorationState) -> ScanPoints:
+    def scan_points(self, state: ExplorationState, moment: Moment | None = None) -> ScanPoints:
         """Return the newest scan for the guard."""
-        return ScanPoints.blank(1) if state.own.points is None else state.own.points
+        points = state.own.points
+        if points is None:
+            return ScanPoints.blank(1)
+        if moment is None:
+            return points
+        comes = self.rates.is_scan_due(moment.step) & ~moment.is_blind
+        return points._replace(time=jnp.where(comes, moment.time, points.time))
 
     def advance(
         self, state: ExplorationState, control: ControlVector, moment: Moment, info: Info
