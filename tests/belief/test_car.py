@@ -296,7 +296,7 @@ def test_the_channel_leads_a_car_along_its_path() -> None:
     field = field_of(roads, source)
     costs = np.asarray(field.at_nodes)
     begins = np.argwhere(np.isfinite(costs) & (costs > 4.0))
-    ridges, rises = [], []
+    ridges, rises, shares = [], [], []
     for direction, heading, row, column in np.random.default_rng(3).permutation(begins)[:150]:
         place = field.frame.cell_centre(jnp.asarray([row, column]))
         pose = jnp.append(place, jnp.asarray(HEADINGS[heading], jnp.float32))
@@ -307,11 +307,18 @@ def test_the_channel_leads_a_car_along_its_path() -> None:
         prices = (roads.radius * SPACING, roads.reversal_cost)
         kept = np.isfinite(without_shortcuts(path, pose, jnp.asarray(direction), *prices).costs)
         rises.append((np.asarray(after) - rest)[kept].max())
+        shares.append(kept.mean())
+        # Only what comes after a reversal may be left out.
+        turns = np.flatnonzero(np.diff(np.asarray(path.directions)))
+        assert kept[: turns[0] + 1 if len(turns) else None].all()
     # The cost is interpolated over a node and a heading, at whose ends the car strays by half.
     node, turn = SPACING / 2.0, roads.radius * SPACING * math.radians(14.0)
     assert max(rises) < STRAYING * (2.0 * node**2 + turn**2)
     # What no rollout crosses: a rise on the way of more than two metres.
     assert max(ridges) > 2.0
+    # Few ways have a shortcut, and they are led along most of their length.
+    assert np.mean(shares) > 0.97
+    assert min(shares) >= 0.5
 
 
 def test_no_channel_makes_the_place_of_a_car_cheaper_than_its_path() -> None:
