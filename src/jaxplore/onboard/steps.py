@@ -204,7 +204,7 @@ def plan(
     none = jnp.zeros(())
     scan = ScanPoints(points, is_point, none, none, none, speeds)
     driver = Driver(robot, adapted, guard, period)
-    checked, memory, info = driver.plan(guard, memory, start, belief, scan, inputs.age, key)
+    checked, memory, info = driver.plan(memory, start, belief, scan, inputs.age, key)
     controls = _resample_plan(controller, info.controls, checked.control, period)
 
     def step(at: StateVector, each: ControlVector) -> tuple[StateVector, tuple[Array, Array]]:

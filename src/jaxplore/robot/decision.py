@@ -68,7 +68,7 @@ class Driver(NamedTuple):
         start = jnp.where(is_stopped, jnp.nan, ahead)
         delay = guard.delay(watch, jnp.zeros((), jnp.int32)).astype(jnp.float32)
         age = time - points.time + delay * self.period
-        checked, after, info = self.plan(guard, memory, start, belief, points, age, key)
+        checked, after, info = self.plan(memory, start, belief, points, age, key)
         control = checked.control
         # The controller starts anew from rest: its plan was not executed.
         after = jax.tree.map(functools.partial(jnp.where, is_stopped), controller.init(), after)
@@ -79,7 +79,6 @@ class Driver(NamedTuple):
 
     def plan(
         self,
-        guard: MotionGuard,
         memory: Any,
         start: StateVector,
         belief: Any,
@@ -89,13 +88,15 @@ class Driver(NamedTuple):
     ) -> tuple[Validated, Any, Info]:
         """Return the command that is planned from the state (nx,) in which it takes effect.
 
-        The guard has checked it against the newest scan. `age` is the time from the scan to the
-        effect of the command [s]. The state of the controller after it and what it says follow.
+        The guard, which there must be, has checked it against the newest scan. `age` is the time
+        from the scan to the effect of the command [s]. The state of the controller after it and
+        what it says follow.
         """
+        assert self.guard is not None
         control, memory, info = self.controller.step(memory, start, belief, key=key)
         # A command that is not finite is none: the robot's base then brakes.
         control = jnp.where(jnp.isfinite(start).all(), control, jnp.nan)
-        checked = guard.keep_clear(self.model, start, control, points, age, self.period)
+        checked = self.guard.keep_clear(self.model, start, control, points, age, self.period)
         return checked, memory, info
 
     def actuate(
