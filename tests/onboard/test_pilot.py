@@ -1,10 +1,14 @@
 """The pilot of a robot, with a simulated one in the same process."""
 
+import jax
 import numpy as np
 import pytest
+from tests.onboard.conftest import LIDAR, SHAPE, scenario_in
 
+from jaxplore import OccupancyGrid
 from jaxplore.onboard import steps
 from jaxplore.onboard.options import Mode, PilotOptions
+from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.sensing.beams import Scan
 
 pytestmark = pytest.mark.long
@@ -329,3 +333,48 @@ def test_a_way_back_that_is_blocked_is_given_up(make_pilot) -> None:
 def test_options_that_make_no_sense_are_refused(name, value) -> None:
     with pytest.raises(ValueError, match=f"{name} is {value}"):
         PilotOptions(**{name: value})
+
+
+def test_a_robot_drives_on_where_its_lidar_meets_nothing_but_not_where_it_must(
+    make_pilot, drive
+) -> None:
+    """In the open with one pillar."""
+    world = np.zeros(SHAPE, np.float32)
+    world[22:26, 6:8] = 1.0
+    scenario = scenario_in(OccupancyGrid(world, 0.1), (2.4, 2.4, 0.0))
+
+    def run(seconds, change=lambda now, measured: measured):
+        robot = SimulatedRobot(scenario, jax.random.key(2))
+        return drive(make_pilot(), robot, seconds, change)[0]
+
+    def without_returns(begin):
+        def change(now, measured):
+            if measured.scan is None or now < begin:
+                return measured
+            none = np.zeros(LIDAR.num_beams, bool)
+            far = np.full(LIDAR.num_beams, LIDAR.max_range, np.float32)
+            return measured._replace(scan=Scan(far, none))
+
+        return change
+
+    def leave(now, measured):
+        measured = without_returns(0.0)(now, measured)
+        if measured.scan is None or now >= 1.0:
+            return measured
+        # The last that it met was near the end of its range.
+        is_return = np.arange(LIDAR.num_beams) == 0
+        ranges = np.where(is_return, 2.2 + 0.12 * now, LIDAR.max_range).astype(np.float32)
+        return measured._replace(scan=Scan(ranges, is_return))
+
+    commands = run(4.0, leave)
+    assert commands[-1].mode is Mode.DRIVING
+    assert not any("lidar" in each.reason or "scan" in each.reason for each in commands[20:])
+    # A lidar that sees no more, beside the pillar.
+    died = run(2.5, without_returns(1.0))
+    braked = [each for each in died if "lidar" in each.reason]
+    assert braked[0].reason == "the lidar meets nothing, although something must be in its range"
+    assert not braked[-1].twist.any()
+    # One that never saw anything.
+    blind = run(2.0, without_returns(0.0))
+    assert blind[-1].reason == "the lidar met nothing yet"
+    assert not blind[-1].twist.any()

@@ -12,6 +12,7 @@ from jaxplore.control.stops import (
     JUMPED,
     LOST,
     REASONS,
+    REPEATED,
     Evidence,
     StopState,
 )
@@ -19,12 +20,26 @@ from jaxplore.onboard import steps
 from jaxplore.onboard.odometry import PoseHistory
 from jaxplore.onboard.options import PilotOptions
 
+_VANISHED = "the lidar meets nothing, although something must be in its range"
+SEEN = 0.9
+"""Share of the range of a lidar within which it meets what is there."""
+
 
 class DataCheck:
-    """Gathers what data say, and says why a robot must not move, by the rule of `next_stop`."""
+    """Gathers what data say, and says why a robot must not move, by the rule of `next_stop`.
 
-    def __init__(self, guard: MotionGuard, options: PilotOptions, history: PoseHistory) -> None:
+    A scan that meets nothing repeats the one before it, unless it must: what the lidar met last,
+    with the way of the robot since then, may be out of its `max_range` [m].
+    """
+
+    def __init__(
+        self, guard: MotionGuard, options: PilotOptions, history: PoseHistory, max_range: float
+    ) -> None:
         self._guard, self._options, self._history = guard, options, history
+        self._max_range = max_range
+        # The distance of what the lidar met last, and where the robot was then.
+        self._met: tuple[float, np.ndarray] | None = None
+        self._is_empty = False
         self._state = StopState.initial()
         self._jump = ""
         self._is_jump = False
@@ -37,10 +52,17 @@ class DataCheck:
         self._scan_time: float | None = None
         self._is_scan_same, self._is_repeat, self._pose_changed_at = True, False, -math.inf
 
-    def add_scan(self, time: float, *, is_changed: bool) -> None:
-        """Note the time of a scan [s], and whether it differs from the one before it."""
-        self._scan_time = time
-        self._is_repeat = not is_changed
+    def add_scan(self, time: float, points: np.ndarray, *, is_changed: bool) -> None:
+        """Note the time of a scan [s], what it met, and whether it differs from the one before it.
+
+        `points` (N, 2) are relative to the robot [m].
+        """
+        self._scan_time, self._is_empty = time, not len(points)
+        here = None if self._history.last is None else self._history.at(time)[:2]
+        if not self._is_empty and here is not None:
+            self._met = float(np.hypot(*points.T).min()), here
+        is_open = self._is_empty and self._may_be_open(here)
+        self._is_repeat = not (is_changed or is_open)
         self._is_scan_same &= self._is_repeat
 
     def add_jump(self, problem: str) -> None:
@@ -86,8 +108,17 @@ class DataCheck:
         numbers = np.array([found[name] for name in Evidence._fields], np.float32)
         self._state = steps.judge(self._state, numbers, self._guard.max_frozen)
 
+    def _may_be_open(self, here: np.ndarray | None) -> bool:
+        """Check whether there may be nothing within the range of the lidar at a position (2,)."""
+        if self._met is None or here is None:
+            return False
+        distance, there = self._met
+        return distance + math.hypot(*(here - there)) > SEEN * self._max_range
+
     def _describe(self, code: int, pose_age: float, scan_age: float) -> str:
         """Return in words why a robot is stopped."""
+        if code == REPEATED and self._is_empty:
+            return "the lidar met nothing yet" if self._met is None else _VANISHED
         if code not in (LOST, BLIND):
             return self._jump if code == JUMPED else REASONS[code]
         name, age = ("odometry", pose_age) if code == LOST else ("scan", scan_age)

@@ -125,7 +125,8 @@ class Pilot:
         self._new: list[TakenScan] = []
         self._scan: TakenScan | None = None
         self._points, self._seen = no_points(), RecentPoints()
-        self._data = DataCheck(self.guard, self.options, self._history)
+        max_range = float(self.sensor.max_range)
+        self._data = DataCheck(self.guard, self.options, self._history, max_range)
         self._number = 0
         self.num_replaced = 0
         self._finished = ""
@@ -218,7 +219,7 @@ class Pilot:
             return
         former = self._scan
         is_changed = former is None or not np.array_equal(former.points, points)
-        self._data.add_scan(time, is_changed=is_changed)
+        self._data.add_scan(time, points, is_changed=is_changed)
         self._scan = TakenScan(time, scan, points, sweep)
         # While the robot brakes, nobody takes them.
         kept = [each for each in self._new if time - each.time <= CHECKED_SECONDS]
