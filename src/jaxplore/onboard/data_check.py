@@ -28,8 +28,8 @@ SEEN = 0.9
 class DataCheck:
     """Gathers what data say, and says why a robot must not move, by the rule of `next_stop`.
 
-    A scan that meets nothing repeats the one before it, unless it must: what the lidar met last,
-    with the way of the robot since then, may be out of its `max_range` [m].
+    Empty scans in a row are a repeat only where something must be in the lidar's `max_range` [m].
+    What it met last is no farther away now than it was then plus the way of the robot since.
     """
 
     def __init__(
