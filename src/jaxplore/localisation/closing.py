@@ -211,7 +211,7 @@ class LoopCloser(eqx.Module):
         moved[:number] = best.poses
         if np.abs(best.poses[:, :2] - poses[:, :2]).max() <= 0.5 * float(self.tolerance):
             return None
-        return _rebuild(
+        return rebuild_surface(
             (localiser, tuple(sensors)),
             state,
             jnp.asarray(moved, jnp.float32),
@@ -328,13 +328,20 @@ def _measure_contradiction(sensor: Beams, scan: Scan, other: Scan, motion: Pose)
 
 
 @eqx.filter_jit
-def _rebuild(
+def rebuild_surface(
     given: tuple[Localiser, tuple[Beams, ...]],
     state: LocaliserState,
     poses: Float[Array, "K 3"],
     drift: Matrix,
 ) -> LocaliserState:
-    """Return the state with other poses of the scans."""
+    """Return the state with other poses of the stored scans, and surfaces of these scans alone.
+
+    Args:
+        given: the localiser and its sensors.
+        state: its state; the surfaces are made in the frame of `state.surface`.
+        poses: poses (K, 3) of the stored scans [m, m, rad].
+        drift: covariance (3, 3) of the newest one.
+    """
     localiser, sensors = given
     last = state.scans.last
     since = between(state.scans.poses[last], state.pose)

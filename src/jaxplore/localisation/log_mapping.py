@@ -3,6 +3,7 @@
 The localisation runs in compiled chunks of scans; loops are closed between them.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from jaxplore._optional import import_optional
 from jaxplore._types import Count, Key
 from jaxplore.geometry.motion import between, compose
 from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
-from jaxplore.localisation.closing import LoopCloser, pose_graph
+from jaxplore.localisation.closing import LoopCloser, pose_graph, rebuild_surface
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.log_drawing import (
     WHOLE,
@@ -38,7 +39,7 @@ from jaxplore.localisation.log_trust import Trust, judge_poses
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import OdometryModel
 from jaxplore.localisation.pose_graph import expected_error
-from jaxplore.localisation.scan_matching import ScanMatcher
+from jaxplore.localisation.scan_matching import FARTHEST, ScanMatcher
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.beams import Beams, Scan
@@ -54,10 +55,17 @@ LEAST_REACH, SEEN = 4.0, 0.75
 it is otherwise: in halls two scans see the same walls from further apart than in corridors."""
 SCANS_PER_SEARCH = 32
 """Number of scans between two searches for closed loops."""
+FEWEST_SCANS = 8
+"""Number of scans that are localised at a time where the robot leaves the map of surfaces."""
+MOST_OUTSIDE = 0.1
+"""Share of the points of a scan off the map of surfaces above which it is moved to the robot."""
 SCANS_TO_FIT = 384
 """Number of scans by which the errors of an odometry are fitted."""
-TURN_STEPS = 14
-"""Steps of the search in yaw: wheels are often wrong by a sixth of a radian after a turn."""
+TURN_STEPS, MOST_TURN_STEPS, MOST_STEPS = 14, 35, 6
+"""Least and most steps of the search in yaw, and most in position. Wheels are often wrong by a
+sixth of a radian after a turn, and logs with a scan a metre by half a radian."""
+MOST_MOTIONS = 0.95
+"""Share of the motions after which the search reaches as far as the odometry errs."""
 COARSEST = 1.0
 """Largest side of a cell [m]."""
 MAX_RANGE = 25.0
@@ -121,6 +129,9 @@ def map_log(
     less than 0.2 m and 0.2 rad after the last one that was used are left out; their poses follow by
     the odometry. Every 32 scans loops are closed. At the end all used scans are drawn at their
     poses, as estimated then.
+
+    The map of surfaces is as large as the odometry says. An odometry may be wrong by more: where
+    scans leave that map, it is moved to the robot, and the surfaces of late are made anew in it.
 
     For tests made-up drift is put on the poses of the log in place of its odometry.
 
@@ -195,19 +206,18 @@ def map_log(
     model: OdometryModel | None = drift if odometry is None else odometry
     model = localiser.odometry if model is None and localiser is not None else model
     if model is None:
-        wide, number = (
-            _localiser_of(wide_odometry(), sampling, len(used)),
-            min(SCANS_TO_FIT, len(used)),
-        )
-        state, track = drive.localise(wide, *drive.begin(wide, first), 0, number)
+        usual = ScanMatcher(turn_steps=TURN_STEPS)
+        wide = drive.localiser(wide_odometry(), sampling, usual)
+        number = min(SCANS_TO_FIT, len(used))
+        state, track = drive.follow(wide, *drive.begin(wide, first), 0, number)
         matched = np.asarray(_poses(track, state.scans.poses), np.float64)[:number]
         model = fit_odometry(np.asarray(drive.motions, np.float64)[1:number], matched)
     if localiser is None:
-        localiser = _localiser_of(model, sampling, len(used))
+        localiser = drive.localiser(model, sampling, drive.matcher(model))
     state, track = drive.begin(localiser, first)
     for begin in range(0, len(used), SCANS_PER_SEARCH):
         end = min(begin + SCANS_PER_SEARCH, len(used))
-        state, track = drive.localise(localiser, state, track, begin, end)
+        state, track = drive.follow(localiser, state, track, begin, end)
         state = closer.find_loops(localiser, state, drive.sensors)
         settled = closer.optimise_poses(localiser, state, drive.sensors)
         state = state if settled is None else settled
@@ -266,16 +276,6 @@ def _follow_odometry(found: _Floats, dead_reckoned: _Floats, used: NDArray[np.in
     )
 
 
-def _localiser_of(odometry: OdometryModel, sampling: Sampling, number: int) -> Localiser:
-    return Localiser(
-        odometry,
-        matcher=ScanMatcher(turn_steps=TURN_STEPS),
-        capacity=-(-number // WHOLE) * WHOLE,
-        filling=sampling.filling,
-        noise=sampling.noise,
-    )
-
-
 class _Track(NamedTuple):
     """For each scan the motion to it from the newest stored scan, and the index of that one."""
 
@@ -293,11 +293,78 @@ class _Drive(NamedTuple):
     frame: GridFrame
     shape: tuple[int, int]
 
+    def localiser(
+        self, odometry: OdometryModel, sampling: Sampling, matcher: ScanMatcher
+    ) -> Localiser:
+        """Return a localiser with room for all scans."""
+        return Localiser(
+            odometry,
+            matcher=matcher,
+            capacity=-(-len(self.motions) // WHOLE) * WHOLE,
+            filling=sampling.filling,
+            noise=sampling.noise,
+        )
+
+    def matcher(self, odometry: OdometryModel) -> ScanMatcher:
+        """Return what matches scans, and searches as far as an odometry errs in a motion."""
+        usual = ScanMatcher(turn_steps=TURN_STEPS)
+        errors = np.asarray(jax.vmap(odometry.covariance)(self.motions, self.elapsed))
+        variances = np.diagonal(errors, axis1=1, axis2=2)
+        reach = FARTHEST * np.sqrt(np.quantile(variances, MOST_MOTIONS, axis=0))
+        steps = math.ceil(reach[:2].max() / float(usual.spacing))
+        turns = math.ceil(reach[2] / float(usual.turn_spacing))
+        # Multiples of half of the least, so that few programs are compiled.
+        turns = -(-turns // (TURN_STEPS // 2)) * (TURN_STEPS // 2)
+        return ScanMatcher(
+            steps=min(max(usual.steps, steps), MOST_STEPS),
+            turn_steps=min(max(TURN_STEPS, turns), MOST_TURN_STEPS),
+        )
+
     def begin(self, localiser: Localiser, pose: _Floats) -> tuple[LocaliserState, _Track]:
         """Return the state before the first scan."""
         number = len(self.motions)
         state = localiser.init(jnp.asarray(pose, jnp.float32), self.frame, self.shape, self.sensors)
         return state, _Track(jnp.zeros((number, 3)), jnp.zeros(number, jnp.int32))
+
+    def follow(
+        self, localiser: Localiser, state: LocaliserState, track: _Track, begin: int, end: int
+    ) -> tuple[LocaliserState, _Track]:
+        """Return the state after the scans from `begin` to before `end`, in a map that has room for
+        them: where one leaves it, the map is moved before, and fewer scans are taken at a time."""
+        after = self.localise(localiser, state, track, begin, end)
+        if not self._has_left(*after, begin, end):
+            return after
+        moved = self._recentre(localiser, state)
+        if end - begin <= FEWEST_SCANS:
+            return self.localise(localiser, moved, track, begin, end)
+        middle = (begin + end) // 2
+        half = self.follow(localiser, moved, track, begin, middle)
+        return self.follow(localiser, *half, middle, end)
+
+    def _has_left(self, state: LocaliserState, track: _Track, begin: int, end: int) -> bool:
+        """Check whether a scan has more points off the map of surfaces than a few."""
+        found = np.asarray(_poses(track, state.scans.poses), np.float64)[begin:end, :, None]
+        is_point = np.asarray(self.scans.is_return[begin:end])
+        ranges = np.where(is_point, np.asarray(self.scans.ranges[begin:end]), 0.0)
+        angles = found[:, 2] + np.asarray(self.sensors[0].beam_angles)
+        corner = np.asarray(state.surface.frame.origin, np.float64)
+        x = found[:, 0] + ranges * np.cos(angles) - corner[0]
+        y = found[:, 1] + ranges * np.sin(angles) - corner[1]
+        height, width = np.asarray(self.shape) * self.frame.resolution
+        is_off = (np.minimum(x, y) < 0.0) | (x > width) | (y > height)
+        share = (is_off & is_point).sum(axis=1) / np.maximum(is_point.sum(axis=1), 1)
+        return bool(share.max() > MOST_OUTSIDE)
+
+    def _recentre(self, localiser: Localiser, state: LocaliserState) -> LocaliserState:
+        """Return the state with a map of surfaces around the robot, of the same size."""
+        height, width = np.asarray(self.shape) * self.frame.resolution
+        side = self.frame.resolution
+        middle = np.asarray(state.pose, np.float64)[:2]
+        corner = np.floor((middle - 0.5 * np.array([width, height])) / side) * side
+        frame = GridFrame(side, (*corner.tolist(), 0.0))
+        state = eqx.tree_at(lambda each: each.surface.frame, state, frame)
+        given = (localiser, tuple(self.sensors))
+        return rebuild_surface(given, state, state.scans.poses, state.drift)
 
     def localise(
         self, localiser: Localiser, state: LocaliserState, track: _Track, begin: int, end: int
