@@ -138,16 +138,16 @@ def test_what_was_left_outside_is_a_goal_at_the_face_towards_it(beliefs) -> None
     rest = alone.toward_the_rest(moving.grid, block, jnp.asarray(8.0), jnp.asarray(0.03))
     here = np.asarray([15.0, 3.5, 1.7])
     centre = np.asarray(WORLD.origin) + 0.5 * block * SIDE
-    value = float(rest(*jnp.asarray(here)))
+    value = float(rest(jnp.asarray(here)))
     # Between the blocks' centres the lattice has 26 directions.
     straight = np.linalg.norm(here - centre)
     assert straight - 0.5 * block * SIDE <= value <= 1.09 * straight + block * SIDE
     more = eqx.tree_at(lambda each: each.left, beyond, 2.0 * left)
     doubled = more.toward_the_rest(moving.grid, block, jnp.asarray(8.0), jnp.asarray(0.03))
-    assert float(doubled(*jnp.asarray(here))) == pytest.approx(value - 8.0 * np.log(2.0), abs=1e-3)
+    assert float(doubled(jnp.asarray(here))) == pytest.approx(value - 8.0 * np.log(2.0), abs=1e-3)
     none = eqx.tree_at(lambda each: each.left, beyond, jnp.zeros_like(left))
     nothing = none.toward_the_rest(moving.grid, block, jnp.asarray(8.0), jnp.asarray(0.03))
-    assert float(nothing(*jnp.asarray(here))) > 5e3
+    assert float(nothing(jnp.asarray(here))) > 5e3
 
 
 @given(st.integers(0, 2**31), st.tuples(*[st.integers(-6, 6)] * 3))

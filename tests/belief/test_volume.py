@@ -57,7 +57,7 @@ def test_before_the_first_scan_only_the_robot_s_own_place_is_free() -> None:
     distance = np.linalg.norm((free + 0.5) * SIDE - np.asarray(AT), axis=1)
     assert len(free) > 8
     assert distance.max() <= 0.3 + 0.1 + 2.0 * SIDE + 1e-6
-    assert float(belief.clearance(*AT)) > 0.3
+    assert float(belief.clearance(AT)) > 0.3
 
 
 def test_the_clearance_is_the_distance_to_what_is_not_known_to_be_free(seen) -> None:
@@ -96,14 +96,14 @@ def test_guidance_leads_to_what_is_not_known(seen) -> None:
     known = values < FAR / 2
     assert known.any()
     # The wall hides the other half: the cost falls towards the door.
-    left, right = (float(field(jnp.asarray(x), AT[1], AT[2])) for x in (1.5, 3.3))
+    left, right = (float(field(AT.at[0].set(x))) for x in (1.5, 3.3))
     assert right < left < FAR / 2
-    assert float(field(jnp.asarray(math.nan), AT[1], AT[2])) == pytest.approx(FAR)
+    assert float(field(AT.at[0].set(math.nan))) == pytest.approx(FAR)
 
 
 def test_information_is_behind_the_door_and_fades_with_the_time_spent(seen) -> None:
     door, wall = (
-        float(seen.information(jnp.asarray(3.5), jnp.asarray(2.6), AT[2], jnp.asarray(yaw)))
+        float(seen.information(jnp.asarray([3.5, 2.6, AT[2]]), jnp.asarray(yaw)))
         for yaw in (0.0, math.pi)
     )
     # The lidar looks around: both headings see the same.
@@ -111,11 +111,10 @@ def test_information_is_behind_the_door_and_fades_with_the_time_spent(seen) -> N
     assert door > 0.06
     again = eqx.filter_jit(AROUND.update_fields)
     waited = again(seen, AT, jnp.asarray(0.0), jnp.asarray(4.0))
-    near = tuple(AT)
-    before, after = (float(each.information(*near, jnp.asarray(0.0))) for each in (seen, waited))
+    before, after = (float(each.information(AT, jnp.zeros(()))) for each in (seen, waited))
     assert after < 0.7 * before
     # Elsewhere nothing fades.
-    far = (jnp.asarray(5.0), jnp.asarray(2.6), AT[2], jnp.asarray(0.0))
+    far = (jnp.asarray([5.0, 2.6, AT[2]]), jnp.zeros(()))
     assert float(seen.information(*far)) > 0.06
     assert float(waited.information(*far)) == pytest.approx(float(seen.information(*far)), rel=1e-5)
 
@@ -134,7 +133,7 @@ def test_a_camera_sees_what_is_in_its_view_only() -> None:
 def test_headings_between_two_are_interpolated() -> None:
     values = jnp.arange(4.0)[:, None, None, None] * jnp.ones((4, 2, 2, 2))
     field = ViewField(values, jnp.zeros(3), 1.0)
-    here = (jnp.asarray(0.5),) * 3
+    here = jnp.full(3, 0.5)
     quarter = math.pi / 2.0
     for heading, wanted in (
         (0.0, 0.0),
@@ -142,7 +141,7 @@ def test_headings_between_two_are_interpolated() -> None:
         (1.5 * quarter, 1.5),
         (-0.5 * quarter, 1.5),
     ):
-        assert float(field(*here, jnp.asarray(heading))) == pytest.approx(wanted, abs=1e-5)
+        assert float(field(here, jnp.asarray(heading))) == pytest.approx(wanted, abs=1e-5)
 
 
 def test_bad_parts_are_refused() -> None:

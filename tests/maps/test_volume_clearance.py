@@ -38,7 +38,7 @@ def test_interpolation_is_that_of_scipy() -> None:
     field = VolumeField(
         jnp.asarray(values, jnp.float32), jnp.asarray(origin), spacing, jnp.asarray(-7.0)
     )
-    read = eqx.filter_jit(lambda field, points: jax.vmap(field)(*points))
+    read = eqx.filter_jit(lambda field, points: jax.vmap(field, in_axes=1)(points))
     nodes = tuple(origin[a] + spacing * np.arange(n) for a, n in ((2, 6), (1, 11), (0, 14)))
     plain = RegularGridInterpolator(nodes, values)
     points = rng.uniform(
@@ -53,7 +53,7 @@ def test_interpolation_is_that_of_scipy() -> None:
 
 def test_a_lattice_of_one_node_is_constant() -> None:
     field = VolumeField(jnp.full((1, 1, 1), 3.0), jnp.zeros(3), 1.0, jnp.zeros(()))
-    assert float(field(jnp.asarray(0.3), jnp.asarray(-0.4), jnp.asarray(0.0))) == pytest.approx(3.0)
+    assert float(field(jnp.asarray([0.3, -0.4, 0.0]))) == pytest.approx(3.0)
 
 
 def test_an_extruded_plane_has_the_clearance_of_the_plane() -> None:

@@ -16,7 +16,7 @@ import jaxplore as jx
 from jaxplore import planning
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.control.mixtures import BiasedProposal
-from jaxplore.costs import VolumePotentialCost, VolumeReferenceCost
+from jaxplore.costs import PotentialCost, StrategyReferenceCost
 from jaxplore.dynamics.base import State
 from jaxplore.planning import QuadrotorFollower, VolumeInformativeMPPI, VolumeReference
 from jaxplore.planning.presets.volume import ARCHITECTURES
@@ -192,11 +192,11 @@ def test_the_plan_leads_to_the_best_heading_and_the_costs_read_it(known, control
 
     # The third row is due 0.15 s after the plan was made, and it is 0.1 s old.
     x, y, z = (float(each) for each in plan.reference[2])
-    assert price(VolumeReferenceCost(), x, y, -z, 0.05) == pytest.approx(0.0, abs=1e-9)
-    away = price(VolumeReferenceCost(), x + 0.3, y - 0.2, -z + 0.5, 0.05)
+    assert price(StrategyReferenceCost(), x, y, -z, 0.05) == pytest.approx(0.0, abs=1e-9)
+    away = price(StrategyReferenceCost(), x + 0.3, y - 0.2, -z + 0.5, 0.05)
     assert away == pytest.approx(0.09 + 0.04 + 0.25, rel=1e-4)
-    assert price(VolumePotentialCost(), 1.2, 2.8, -1.2, 0.0) == pytest.approx(-3.0)
-    assert price(VolumePotentialCost(), 6.0, 2.8, -1.2, 0.0) == pytest.approx(-2.0)
+    assert price(PotentialCost(), 1.2, 2.8, -1.2, 0.0) == pytest.approx(-3.0)
+    assert price(PotentialCost(), 6.0, 2.8, -1.2, 0.0) == pytest.approx(-2.0)
     # Without information the heading is kept.
     nothing = dataclasses.replace(known, attention=known.information)
     assert float(plan_of(controller, nothing, at)[0].heading) == pytest.approx(0.7, rel=1e-5)
@@ -229,8 +229,8 @@ def test_what_the_architectures_differ_in(controllers) -> None:
     assert not parallel.has_reference
     assert parallel.follower_of(parallel.blank_plan()) is None
     names = [{name for name, _ in each.mppi.cost.terms()} for each in (two_layer, parallel)]
-    assert names[0] - names[1] == {"VolumeReferenceCost"}
-    assert names[1] - names[0] == {"VolumePotentialCost"}
+    assert names[0] - names[1] == {"StrategyReferenceCost"}
+    assert names[1] - names[0] == {"PotentialCost"}
     # A slower robot has a slower reference.
     assert float(controller_of("two-layer", max_speed=0.7).reference.speed) == pytest.approx(0.7)
 

@@ -333,7 +333,7 @@ def test_bad_faults_are_named(argument: str, value, accepted: str) -> None:
         Faults(**{argument: value})
 
 
-@pytest.mark.parametrize("walls", [np.zeros((3, 4)), np.zeros((3, 4), int)])
+@pytest.mark.parametrize("walls", [np.zeros((3, 4)), np.zeros((3, 4), int), np.zeros(4, bool)])
 def test_bad_walls_are_named(walls: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"walls has type .* and shape .*; accepted: \(H, W\)"):
         Faults(walls=walls)

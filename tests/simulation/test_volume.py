@@ -16,7 +16,7 @@ import jaxplore as jx
 from jaxplore.costs import (
     AttitudeCost,
     BlindFlightCost,
-    VolumeClearanceCost,
+    ObstacleCost,
     VolumeGuidanceCost,
     VolumeInformationCost,
 )
@@ -44,7 +44,9 @@ def test_it_explores_a_room_without_a_contact(run) -> None:
     assert metrics.coverage >= 0.95
     assert metrics.collisions == 0
     assert metrics.minimum_clearance > 0.0
-    assert 0.0 < metrics.time_to["50"] < metrics.time_to["95"] == metrics.finished_at
+    # The record of a step has what was known at its beginning, and the run ends with that step.
+    assert 0.0 < metrics.time_to["50"] < metrics.time_to["95"]
+    assert metrics.time_to["95"] == pytest.approx(metrics.finished_at - 0.05, abs=1e-6)
     assert metrics.time_to["99"] is None
     assert metrics.volume == pytest.approx(38 * 18 * 10 * SIDE**3 - 7 * 10 * SIDE**3, rel=1e-6)
     # Hardly anything is taken to be free that is not.
@@ -65,6 +67,41 @@ def test_equal_seeds_give_equal_runs_and_other_rooms_do_not_recompile(run, contr
     )
     assert other.metrics.coverage >= 0.6
     assert run_chunk._cached._cache_size() == before
+
+
+def test_walls_that_appear_are_solid_and_seen(controller) -> None:
+    fallen = np.zeros((12, 20, 40), bool)
+    fallen[1:-1, 1:-1, 20] = True  # x from 4.0 to 4.2 m
+    ends = []
+    for begin in (0.5, 1000.0):
+        faults = jx.Faults(walls=fallen, walls_from=begin)
+        given = volume(False, faults=faults, target_coverage=1.0)
+        recording = jx.simulate(controller, given, 160, key=jax.random.key(2)).recording
+        known = recording.belief[fallen]
+        # Before its time nobody sees the wall, and afterwards nobody gets past it.
+        assert (known == 2).any() == (begin < 1.0)
+        ends.append(recording.positions[:, 0].max())
+        late = recording.time[1:] >= begin
+        clearance = np.asarray(recording.records.clearance)[late]
+        if begin < 1.0:
+            gap = np.abs(recording.positions[1:][late, 0] - 4.1) - 0.1 - 0.3
+            assert (clearance <= gap + 1e-4).all()
+            assert clearance.min() >= 0.0
+    assert ends[0] < 4.0 - 0.3 < ends[1]
+
+
+def test_what_brings_nothing_new_is_given_up(controller) -> None:
+    given = volume(False, target_coverage=1.0, give_up_after=0.5)
+    done = jx.simulate(controller, given, 500, key=jax.random.key(0))
+    assert not done.metrics.is_finished
+    assert done.metrics.given_up_at == pytest.approx(done.metrics.duration)
+    # By hand: the last rise of at least 0.1 % was half a second before.
+    best, last = done.recording.initial_coverage, 0
+    for step, share in enumerate(np.asarray(done.recording.records.coverage)):
+        if share >= np.float32(best) + np.float32(1e-3):
+            best, last = share, step
+    assert done.metrics.num_steps - 1 - last == 10
+    assert done.metrics.num_steps < 500
 
 
 def test_its_folder_has_pictures_and_is_read_again(run, tmp_path: Path) -> None:
@@ -234,7 +271,7 @@ def test_costs_are_what_they_say() -> None:
     assert price(VolumeInformationCost()) == pytest.approx(-7.0)
     assert price(BlindFlightCost(0.5)) == pytest.approx(1.0 + 0.5 * 4.0, rel=1e-5)
     assert price(AttitudeCost(0.1)) == pytest.approx(0.1 * 4.0)
-    near = VolumeClearanceCost(0.3, keep=0.8, margin=0.2, collision=3.0)
+    near = ObstacleCost(0.8, collision=3.0, margin=0.2, reaction_time=0.0)
     assert price(near) == pytest.approx(0.5**2 + 3.0 * (0.1 / 0.05) ** 2, rel=1e-4)
 
 
@@ -264,6 +301,11 @@ def test_a_volume_is_drawn_from_its_seed(kind: str) -> None:
         ({"start": (0.3, 2.0, 1.0, 0.0)}, r"start is \(0.3, 2, 1\), within 0.3 m of a solid voxel"),
         ({"start": (1.0, 2.0)}, r"start is \(1.0, 2.0\); accepted: 4 finite"),
         ({"sensing_rate": 7.0}, "sensing_rate is 7"),
+        ({"give_up_after": 0.0}, "give_up_after is 0"),
+        (
+            {"faults": jx.Faults(walls=np.zeros((20, 40), bool))},
+            r"walls has shape \(20, 40\); accepted: the world's, \(12, 20, 40\)",
+        ),
     ],
 )
 def test_what_is_not_possible_is_refused(change: dict, message: str) -> None:

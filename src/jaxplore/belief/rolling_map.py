@@ -179,7 +179,8 @@ class RollingMap(eqx.Module):
         shape = roads.slowness.shape
         width = 1 + math.ceil(kept / roads.spacing)
         at_face = near_faces(shape, self.place(grid.shape).is_inner, width)
-        cost = jax.vmap(rest)(*(each.reshape(-1) for each in roads.places)).reshape(shape)
+        places = jnp.stack([each.reshape(-1) for each in roads.places])
+        cost = jax.vmap(rest, in_axes=1)(places).reshape(shape)
         return jnp.where(at_face & (cost < 0.5 * FAR), cost, jnp.inf)
 
 

@@ -1,5 +1,7 @@
 """A reference of positions with the times at which they are due."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -20,6 +22,9 @@ class TimedReference(eqx.Module):
     reference: eqx.AbstractVar[Float[Array, "T 3"]]
     reference_period: eqx.AbstractVar[Scalar]
     reference_age: eqx.AbstractVar[Scalar]
+
+    dimensions: ClassVar[int] = 2
+    """Number of components of the reference that count: a reference in the plane has no height."""
 
     def reference_at(self, t: Scalar) -> Float[Array, "3"]:
         """Interpolate the reference position `t` seconds from now [m].

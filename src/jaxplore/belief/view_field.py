@@ -27,8 +27,8 @@ class ViewField(eqx.Module):
     origin: Float[Array, "3"]
     spacing: float = eqx.field(static=True)
 
-    def __call__(self, x: Scalar, y: Scalar, z: Scalar, heading: Scalar) -> Scalar:
-        """Return the information at a position [m] and a heading [rad]."""
+    def __call__(self, position: Float[Array, "3"], heading: Scalar) -> Scalar:
+        """Return the information at a position (x, y, z) [m] and a heading [rad]."""
         number = self.values.shape[0]
         turns = jnp.where(jnp.isfinite(heading), heading, 0.0) * (number / (2.0 * math.pi))
         low = jnp.floor(turns)
@@ -39,7 +39,7 @@ class ViewField(eqx.Module):
         def at(index: Array) -> Scalar:
             # One lattice with the headings side by side along z would interpolate across them, so
             # each heading is a field of its own.
-            return VolumeField(self.values[index], self.origin, self.spacing, nothing)(x, y, z)
+            return VolumeField(self.values[index], self.origin, self.spacing, nothing)(position)
 
         return (1.0 - share) * at(first) + share * at((first + 1) % number)
 

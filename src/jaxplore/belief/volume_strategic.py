@@ -1,5 +1,7 @@
 """The belief of a volume with what a strategic layer found."""
 
+from typing import ClassVar
+
 import equinox as eqx
 from jaxtyping import Array, Float
 
@@ -25,3 +27,5 @@ class VolumeStrategicBelief(VolumeBelief, TimedReference):
     reference: Float[Array, "T 3"] = eqx.field(kw_only=True)
     reference_period: Scalar = eqx.field(kw_only=True)
     reference_age: Scalar = eqx.field(kw_only=True)
+
+    dimensions: ClassVar[int] = 3

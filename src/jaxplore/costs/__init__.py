@@ -42,8 +42,5 @@ from jaxplore.costs.tracking import StateCost as StateCost
 from jaxplore.costs.tracking import WaypointCost as WaypointCost
 from jaxplore.costs.volume import AttitudeCost as AttitudeCost
 from jaxplore.costs.volume import BlindFlightCost as BlindFlightCost
-from jaxplore.costs.volume import VolumeClearanceCost as VolumeClearanceCost
 from jaxplore.costs.volume import VolumeGuidanceCost as VolumeGuidanceCost
 from jaxplore.costs.volume import VolumeInformationCost as VolumeInformationCost
-from jaxplore.costs.volume import VolumePotentialCost as VolumePotentialCost
-from jaxplore.costs.volume import VolumeReferenceCost as VolumeReferenceCost

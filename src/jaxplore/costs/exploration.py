@@ -11,14 +11,16 @@ from jaxplore.belief.belief import Belief, StrategicBelief, part
 from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.exploration_field import GOAL_DETOUR
 from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.volume_strategic import VolumeStrategicBelief
 from jaxplore.costs._arrival import homing_cost, with_overrun
 from jaxplore.costs._distance import offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.geometry.vectors import length
+from jaxplore.geometry.vectors import length, squared_length
 from jaxplore.information.field import InformationField
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.field import ScalarField
+from jaxplore.maps.volume_field import VolumeField
 
 
 class InformationCost(Cost):
@@ -107,12 +109,13 @@ class PotentialCost(Cost):
     """Reward for the information in the strategic field, `-I(x, y)` or `-I(x, y, yaw)` [nat].
 
     The field is that of the strategic layer of `InformativeMPPI`. `I(x, y)` is its greatest value
-    over headings, `I(x, y, yaw)` its value at the heading of the robot.
+    over headings, `I(x, y, yaw)` its value at the heading of the robot. In a volume it is
+    `-I(x, y, z)` [nat m^3], of `VolumeInformativeMPPI`.
 
     Source: the parallel architecture of the quadrotor design notes, `J_field`.
 
     Args:
-        by_heading: whether to read the field at the heading of the robot; static.
+        by_heading: whether to read the field at the heading of the robot; static. Not in a volume.
     """
 
     by_heading: bool = eqx.field(static=True, default=False)
@@ -121,14 +124,18 @@ class PotentialCost(Cost):
         _kinds.flag("by_heading", self.by_heading)
 
     def stage(
-        self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
+        self,
+        state: State,
+        control: ControlVector,
+        t: Scalar,
+        belief: StrategicBelief | VolumeStrategicBelief,
     ) -> Scalar:
         """Compute the negative information."""
         if self.by_heading:
             by_heading: HeadingField = part(belief, "potential")
             return -by_heading(state.position, state.heading)
-        best: ScalarField = part(belief, "best")
-        return -best(state.position)
+        best: ScalarField | VolumeField = part(belief, "best")
+        return -best(state.place(best.dimensions))
 
 
 class LocalInformationCost(Cost):
@@ -147,18 +154,21 @@ class LocalInformationCost(Cost):
 
 
 class StrategyReferenceCost(Cost):
-    """Squared horizontal distance from the reference of the strategic layer, `|p - r(t)|^2`
-    [m^2]."""
+    """Squared distance from the reference of the strategic layer, `|p - r(t)|^2` [m^2]; horizontal,
+    but in a volume."""
 
     def stage(
-        self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
+        self,
+        state: State,
+        control: ControlVector,
+        t: Scalar,
+        belief: StrategicBelief | VolumeStrategicBelief,
     ) -> Scalar:
         """Compute the squared distance at the time when the state is reached."""
         # Only for its error, which names a reference that is missing.
         part(belief, "reference")
-        position, wanted = state.position, belief.reference_at(t)
-        x, y = position[0] - wanted[0], position[1] - wanted[1]
-        return x * x + y * y
+        wanted = belief.reference_at(t)[: belief.dimensions]
+        return squared_length(*jnp.unstack(state.place(belief.dimensions) - wanted))
 
 
 class HomingCost(Cost):

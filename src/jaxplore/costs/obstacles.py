@@ -10,6 +10,7 @@ from jaxplore import _checks
 from jaxplore._checks import array
 from jaxplore._types import ArrayLike, ControlVector, Rows, Scalar, Vector
 from jaxplore.belief.belief import Belief, part
+from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.costs._contact import Lever, add_lever, contact, levers, penalty
 from jaxplore.costs._distance import offset
 from jaxplore.costs._many import least
@@ -60,12 +61,14 @@ class ObstacleCost(Cost):
         self.margin = _checks.scalar("margin", margin, at_least=0.0)
         self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: Belief | VolumeBelief
+    ) -> Scalar:
         """Compute the cost of the distance to the nearest obstacle."""
         field = part(belief, "clearance")
 
         def clearance(lever: Lever) -> Scalar:
-            centre = state.position
+            centre = state.place(field.dimensions)
             if lever:
                 centre = jnp.stack(add_lever(tuple(centre), lever))
             cleared: Scalar = field(centre)

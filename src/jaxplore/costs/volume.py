@@ -1,63 +1,13 @@
-"""Costs of flight in a volume: clearance, guidance, information, looking where one flies."""
+"""Costs of flight in a volume: guidance, information, looking where one flies."""
 
 import jax.numpy as jnp
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar
-from jaxplore.belief.belief import part
 from jaxplore.belief.volume_belief import VolumeBelief
-from jaxplore.belief.volume_strategic import VolumeStrategicBelief
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
-from jaxplore.maps.volume_field import VolumeField
-
-
-def place(state: State) -> tuple[Scalar, Scalar, Scalar]:
-    """Return the position (x, y, z) in the volume, with z up: the models have z down [m]."""
-    return state["x"], state["y"], -state["z"]
-
-
-class VolumeClearanceCost(Cost):
-    """Cost of being near voxels that are not known to be free, with d the clearance,
-
-        ((keep - d)_+ / keep)^2 + collision ((radius + margin - d)_+ / 0.05 m)^2
-
-    Args:
-        radius: radius of the robot [m].
-        keep: clearance of the robot's centre from which on nothing costs [m].
-        margin: distance by which the robot is enlarged in the second term [m].
-        collision: cost of being 5 cm too near.
-
-    Raises:
-        ValueError: a radius or a distance that is not positive, a negative margin or cost.
-    """
-
-    radius: Scalar
-    keep: Scalar
-    margin: Scalar
-    collision: Scalar
-
-    def __init__(
-        self,
-        radius: ArrayLike = 0.3,
-        keep: ArrayLike = 0.6,
-        margin: ArrayLike = 0.05,
-        collision: ArrayLike = 5.0,
-    ) -> None:
-        self.radius = _checks.scalar("radius", radius, above=0.0)
-        self.keep = _checks.scalar("keep", keep, above=0.0)
-        self.margin = _checks.scalar("margin", margin, at_least=0.0)
-        self.collision = _checks.scalar("collision", collision, at_least=0.0)
-
-    def stage(
-        self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
-    ) -> Scalar:
-        """Compute the cost at the position of the robot."""
-        clearance = belief.clearance(*place(state))
-        near = jnp.maximum(self.keep - clearance, 0.0) / self.keep
-        deep = jnp.maximum(self.radius + self.margin - clearance, 0.0) / 0.05
-        return near * near + self.collision * deep * deep
 
 
 class VolumeGuidanceCost(Cost):
@@ -85,9 +35,7 @@ class VolumeGuidanceCost(Cost):
         self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
     ) -> Scalar:
         """Compute the bounded cost-to-go at the position of the robot."""
-        x, y, z = belief.position
-        here = belief.guidance(x, y, z)
-        cost = belief.guidance(*place(state))
+        here, cost = belief.guidance(belief.position), belief.guidance(state.place(3))
         return jnp.minimum(jnp.maximum(cost, here - self.reach), here + self.reach)
 
 
@@ -102,37 +50,7 @@ class VolumeInformationCost(Cost):
         self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
     ) -> Scalar:
         """Compute the negative attention."""
-        return -belief.attention(*place(state), state.heading)
-
-
-class VolumePotentialCost(Cost):
-    """Reward for the information of a scan from this position with the best heading, the negative
-    field `best` of the strategic layer [nat m^3].
-
-    It is `PotentialCost` of the plane in a volume: the field leads the robot to where more is seen.
-    """
-
-    def stage(
-        self, state: State, control: ControlVector, t: Scalar, belief: VolumeStrategicBelief
-    ) -> Scalar:
-        """Compute the negative information."""
-        best: VolumeField = part(belief, "best")
-        return -best(*place(state))
-
-
-class VolumeReferenceCost(Cost):
-    """Squared distance from the reference of the strategic layer, `|p - r(t)|^2` [m^2]."""
-
-    def stage(
-        self, state: State, control: ControlVector, t: Scalar, belief: VolumeStrategicBelief
-    ) -> Scalar:
-        """Compute the squared distance at the time when the state is reached."""
-        # Only for its error, which names a reference that is missing.
-        part(belief, "reference")
-        x, y, z = place(state)
-        wanted = belief.reference_at(t)
-        along, across, above = x - wanted[0], y - wanted[1], z - wanted[2]
-        return along * along + across * across + above * above
+        return -belief.attention(state.place(3), state.heading)
 
 
 class BlindFlightCost(Cost):

@@ -349,6 +349,15 @@ class State(eqx.Module):
         """Position (x, y) [m]."""
         return self.dynamics.position(self.values)
 
+    def place(self, dimensions: int) -> Float[Array, " D"]:
+        """Return the position as a field of so many dimensions has it: (x, y), or (x, y, z) [m].
+
+        Fields have z up, models with `z` have it down.
+        """
+        if dimensions == 2:
+            return self.position
+        return jnp.stack([self["x"], self["y"], -self["z"]])
+
     @property
     def heading(self) -> Scalar:
         """Heading [rad]."""

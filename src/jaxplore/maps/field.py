@@ -1,6 +1,6 @@
 """Interpolate values that are stored at the nodes of a regular lattice."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -108,6 +108,9 @@ class ScalarField(eqx.Module):
     frame: GridFrame
     outside: Scalar
     margin: float = eqx.field(static=True, default=0.5)
+
+    dimensions: ClassVar[int] = 2
+    """Number of components of a position."""
 
     def __call__(self, position: Position) -> Scalar:
         """Return the value at a world position (x, y) [m]."""

@@ -177,6 +177,10 @@ class OccupancyGrid(eqx.Module):
         same: OccupancyGrid = eqx.tree_at(lambda grid: grid.probability, self, probability)
         return same
 
+    def with_solid(self, mask: GridMask) -> "OccupancyGrid":
+        """Return a true world in which these cells (H, W) are certainly occupied as well."""
+        return self.with_probability(jnp.where(mask, 1.0, self.probability))
+
     @property
     def map_shape(self) -> Int[Array | np.ndarray, "2"] | None:
         """Number of rows and columns that are on the map, of a padded map; None if all are."""

@@ -1,5 +1,7 @@
 """Values at the nodes of a lattice in a volume, interpolated trilinearly."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -8,7 +10,7 @@ from jaxplore._types import Scalar
 
 
 class VolumeField(eqx.Module):
-    """Scalar field in a volume, read in O(1).
+    """Scalar field in a volume, read in O(1); `ScalarField` of the plane in three dimensions.
 
     Args:
         values: (D, H, W) values of the nodes, along z, y and x.
@@ -22,8 +24,12 @@ class VolumeField(eqx.Module):
     spacing: float = eqx.field(static=True)
     outside: Scalar
 
-    def __call__(self, x: Scalar, y: Scalar, z: Scalar) -> Scalar:
-        """Return the value at a world position [m]."""
+    dimensions: ClassVar[int] = 3
+    """Number of components of a position."""
+
+    def __call__(self, position: Float[Array, "3"]) -> Scalar:
+        """Return the value at a world position (x, y, z), z up [m]."""
+        x, y, z = jnp.unstack(position)
         depth, height, width = self.values.shape
         # Scalars instead of vectors of three: mapped over thousands of points, unpacking a vector
         # would be a transposition.

@@ -110,6 +110,12 @@ class VoxelGrid(eqx.Module):
         depth, height, width = self.log_odds.shape
         return depth, height, width
 
+    def with_solid(self, mask: Bool[Array, "D H W"]) -> "VoxelGrid":
+        """Return a true world in which these voxels are certainly occupied as well."""
+        log_odds = jnp.where(mask, CERTAIN, self.log_odds)
+        solid: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, self, log_odds)
+        return solid
+
     @property
     def is_free(self) -> Bool[Array, "D H W"]:
         """Mask of the voxels that are known to be free."""

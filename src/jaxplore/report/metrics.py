@@ -148,6 +148,8 @@ class Metrics(abc.ABC):
         num_steps: number of control periods.
         is_finished: whether the task was finished.
         finished_at: time at which the task was finished [s]; None if it was not.
+        given_up_at: time at which it was given up, because nothing new was seen [s]; None if it was
+            not.
         is_interrupted: whether the user stopped the run.
         compute: wall-clock cost.
         seed: seed of the run, if known.
@@ -162,6 +164,7 @@ class Metrics(abc.ABC):
     compute: Compute
     seed: int | None
     versions: dict[str, str | int | None]
+    given_up_at: float | None = None
 
     columns: ClassVar[tuple[Column, ...]] = ()
     """Columns of a comparison's table, after the name of the variant."""
@@ -182,12 +185,7 @@ class Metrics(abc.ABC):
         """Return the main metrics as (name, text), for tables: by default every number."""
         common = {field.name for field in dataclasses.fields(Metrics)}
         own = [field.name for field in dataclasses.fields(self) if field.name not in common]
-        end = (
-            "not finished"
-            if self.finished_at is None
-            else f"finished after {self.finished_at:.2f} s"
-        )
-        rows = [("duration", f"{self.duration:.2f} s, {self.num_steps} steps, {end}")]
+        rows = [self.duration_row()]
         for name in own:
             value = getattr(self, name)
             # Mappings and curves do not fit into a line of a table.
@@ -195,6 +193,15 @@ class Metrics(abc.ABC):
                 shown = text(value, 3) if value is None or isinstance(value, float) else str(value)
                 rows.append((name.replace("_", " "), shown))
         return rows + self.last_rows()
+
+    def duration_row(self) -> tuple[str, str]:
+        """Return the row of the duration and of how the run ended."""
+        end = "not finished"
+        if self.finished_at is not None:
+            end = f"finished after {self.finished_at:.2f} s"
+        elif self.given_up_at is not None:
+            end = f"given up after {self.given_up_at:.2f} s"
+        return "duration", f"{self.duration:.2f} s, {self.num_steps} steps, {end}"
 
     def last_rows(self) -> list[tuple[str, str]]:
         """Return the last rows of every table: time, seed and software."""

@@ -222,6 +222,7 @@ class VolumeSettings(RunSettings):
     resolution: Spacing = setting(generate_volume, "resolution")
     time_limit: Duration = 300.0
     target_coverage: Share = setting(VolumeScenario, "target_coverage")
+    give_up_after: Duration | None = setting(VolumeScenario, "give_up_after")
     generated: GeneratedSettings = GeneratedSettings()
     file: VolumeFileSettings = VolumeFileSettings()
     robot: VolumeRobotSettings = VolumeRobotSettings()

@@ -5,7 +5,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DELAY
@@ -13,13 +13,13 @@ from jaxplore._types import (
     ArrayLike,
     ControlVector,
     Flag,
-    GridMask,
     Pose,
     Scalar,
     StateVector,
     Vector,
 )
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.voxel_grid import VoxelGrid
 
 NEVER = (0.0, 0.0)
 """Interval of length 0: the fault never happens."""
@@ -33,7 +33,7 @@ class Faults(eqx.Module):
         lost_odometry: interval in which the observed state is NaN [s].
         frozen_odometry: interval in which the observed state stays as at its start [s].
         control_delay: number of control periods between a command and its effect; static.
-        walls: (H, W) cells that become solid.
+        walls: (H, W) cells that become solid, in a volume (D, H, W) voxels.
         walls_from: time at which they do [s].
         carried_at: time at which the robot is carried to another place, where it stands [s]; never
             when absent. Its odometry does not notice. For explorations by one robot. The time may
@@ -43,14 +43,14 @@ class Faults(eqx.Module):
 
     Raises:
         ValueError: a time that is negative or not finite, an end before its start, a delay that
-                is not a whole number >= 0, walls that are not an (H, W) array of booleans, a pose
-                to be carried to without a time.
+                is not a whole number >= 0, walls that are no array of booleans of a map's or a
+                volume's dimensions, a pose to be carried to without a time.
     """
 
     scan_dropout: Float[Array, "2"]
     lost_odometry: Float[Array, "2"]
     frozen_odometry: Float[Array, "2"]
-    walls: GridMask | None
+    walls: Bool[Array, "*shape"] | None
     walls_from: Scalar
     carried_at: Scalar | None
     carried_to: Pose | None
@@ -85,22 +85,21 @@ class Faults(eqx.Module):
         self.walls = None
         if walls is not None:
             mask = np.asarray(walls)
-            if mask.dtype != bool or mask.ndim != 2:
+            if mask.dtype != bool or mask.ndim not in (2, 3):
                 raise ValueError(
-                    f"walls has type {mask.dtype} and shape {mask.shape}; accepted: (H, W) bool"
+                    f"walls has type {mask.dtype} and shape {mask.shape}; accepted: (H, W) bool, "
+                    "or (D, H, W) in a volume"
                 )
             self.walls = jnp.asarray(mask)
 
-    def world(self, world: OccupancyGrid, time: Scalar) -> OccupancyGrid:
+    def world[World: (OccupancyGrid, VoxelGrid)](self, world: World, time: Scalar) -> World:
         """Return the world at a time since the start, with the walls that have appeared."""
         if self.walls is None:
             return world
         # The world's arrays may be larger than its map, see `OccupancyGrid.pad`.
         more = [size - own for size, own in zip(world.shape, self.walls.shape, strict=True)]
         walls = jnp.pad(self.walls, [(0, max(0, each)) for each in more])
-        is_solid = walls & (time >= self.walls_from)
-        probability = jnp.where(is_solid, 1.0, world.probability)
-        return world.with_probability(probability)
+        return world.with_solid(walls & (time >= self.walls_from))
 
     def is_blind(self, time: Scalar) -> Flag:
         """Check whether a dropout of scans is active."""

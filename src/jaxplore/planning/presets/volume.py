@@ -16,14 +16,13 @@ from jaxplore.control.mppi import MPPI
 from jaxplore.costs.base import Cost
 from jaxplore.costs.bounds import SpeedLimitCost
 from jaxplore.costs.effort import QuadraticControlCost
+from jaxplore.costs.exploration import PotentialCost, StrategyReferenceCost
+from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.volume import (
     AttitudeCost,
     BlindFlightCost,
-    VolumeClearanceCost,
     VolumeGuidanceCost,
     VolumeInformationCost,
-    VolumePotentialCost,
-    VolumeReferenceCost,
 )
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.voxel_grid import VoxelGrid
@@ -73,7 +72,7 @@ def volume_explorer(
         temperature: temperature of the softmax, in units of the cost of one step.
         max_speed: greatest speed without a cost [m/s].
         clearance: distance kept from what is not known to be free [m].
-        obstacle_weight: weight of `VolumeClearanceCost`.
+        obstacle_weight: weight of `ObstacleCost`.
         guidance_weight: weight of `VolumeGuidanceCost`.
         information_weight: weight of `VolumeInformationCost`.
         blind_weight: weight of `BlindFlightCost`.
@@ -89,11 +88,14 @@ def volume_explorer(
     keep = _checks.scalar("clearance", clearance, above=0.0)
     fastest = _checks.scalar("max_speed", max_speed, above=0.0)
 
+    # No reaction time: it counts the speed ahead, and a quadrotor flies to all sides.
+    near = ObstacleCost(keep, collision=5.0, margin=0.05, reaction_time=0.0)
+
     def scale_cost(name: str, weight: ArrayLike, cost: Cost) -> Cost:
         return _checks.scalar(name, weight) * cost
 
     cost = (
-        scale_cost("obstacle_weight", obstacle_weight, VolumeClearanceCost(robot.radius, keep))
+        scale_cost("obstacle_weight", obstacle_weight, near)
         + scale_cost("guidance_weight", guidance_weight, VolumeGuidanceCost())
         + scale_cost("information_weight", information_weight, VolumeInformationCost())
         + scale_cost("blind_weight", blind_weight, BlindFlightCost())
@@ -149,8 +151,8 @@ def volume_informative_mppi(
             is biased towards the reference, as in Biased-MPPI.
         reference_speed: speed along the reference; no more than `max_speed` [m/s].
         reference_steps: length of the reference in model steps.
-        reference_weight: weight of `VolumeReferenceCost`, two-layer [1/m^2].
-        field_weight: weight of `VolumePotentialCost`, parallel.
+        reference_weight: weight of `StrategyReferenceCost`, two-layer [1/m^2].
+        field_weight: weight of `PotentialCost`, parallel.
         flying: parameters of `volume_explorer`, which makes MPPI and its costs.
 
     Raises:
@@ -167,8 +169,8 @@ def volume_informative_mppi(
     if architecture not in ARCHITECTURES:
         raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
     mppi = volume_explorer(robot, **flying)
-    field = _checks.scalar("field_weight", field_weight) * VolumePotentialCost()
-    tracking = _checks.scalar("reference_weight", reference_weight) * VolumeReferenceCost()
+    field = _checks.scalar("field_weight", field_weight) * PotentialCost()
+    tracking = _checks.scalar("reference_weight", reference_weight) * StrategyReferenceCost()
     speed = compute(
         lambda xp, wanted, most: xp.minimum(wanted, most),
         _checks.scalar("reference_speed", reference_speed, above=0.0),

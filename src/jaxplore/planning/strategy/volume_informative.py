@@ -181,5 +181,5 @@ def _best_heading(belief: VolumeBelief, at: Float[Array, "3"], heading: Scalar) 
     """Return the heading with the most attention at a place; the given one without any [rad]."""
     number = belief.attention.values.shape[0]
     headings = jnp.arange(number, dtype=jnp.float32) * (2.0 * math.pi / number)
-    found = jax.vmap(lambda each: belief.attention(at[0], at[1], at[2], each))(headings)
+    found = jax.vmap(lambda each: belief.attention(at, each))(headings)
     return jnp.where(found.max() > 0.0, headings[jnp.argmax(found)], heading)

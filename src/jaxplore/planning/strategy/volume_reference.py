@@ -90,8 +90,8 @@ def _descend(
     length: Scalar,
 ) -> Float[Array, "3"]:
     """Take one short step down the field; stand still where none is allowed."""
-    cost: Callable[[Array], Array] = jax.vmap(lambda at: guidance(at[0], at[1], at[2]))
-    room: Callable[[Array], Array] = jax.vmap(lambda at: clearance(at[0], at[1], at[2]))
+    cost: Callable[[Array], Array] = jax.vmap(guidance)
+    room: Callable[[Array], Array] = jax.vmap(clearance)
     half = 0.5 * guidance.spacing * jnp.eye(3)
     beside = cost(position + jnp.concatenate([half, -half]))
     slope = (beside[:3] - beside[3:]) / guidance.spacing

@@ -7,6 +7,7 @@ import numpy as np
 from jaxplore.control.stops import REASONS
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
 from jaxplore.report._numbers import finite
+from jaxplore.report.coverage_levels import at_instants, reach_levels
 from jaxplore.report.exploration.anomalies import anomaly_metrics
 from jaxplore.report.exploration.data import ExplorationData, ExplorationRecord
 from jaxplore.report.exploration.localisation import localisation_metrics
@@ -18,7 +19,7 @@ from jaxplore.report.exploration.missions import (
     member_means,
 )
 from jaxplore.report.exploration.objects import object_metrics
-from jaxplore.report.exploration.progress import LEVELS, at_instants, longest_stall, progress
+from jaxplore.report.exploration.progress import longest_stall, progress
 from jaxplore.report.metrics import thin_series
 from jaxplore.report.motion import command_jerk, episodes
 
@@ -27,8 +28,6 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
     """Compute the metrics of a run, finished or not; without a step those of its start."""
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, coverage, entropy, path = progress(recording)
-    # The coverage is float32, so the level is rounded in the same way before the comparison.
-    reached = {str(level): _first(coverage >= np.float32(level / 100)) for level in LEVELS}
     in_contact = np.asarray(records.is_collision, bool)
     stops, stopped_steps = _stops(records.stop)
     sample_size = np.asarray(records.effective_sample_size, np.float64)
@@ -55,8 +54,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         target_coverage=recording.target_coverage,
         target=recording.target,
         walls_seen=_walls_seen(recording),
-        time_to={name: None if k is None else k * period for name, k in reached.items()},
-        path_to={name: None if k is None else float(path[k]) for name, k in reached.items()},
+        **reach_levels(coverage, path, period),
         path_length=float(path[-1]),
         initial_entropy=finite(recording.initial_entropy),
         final_entropy=finite(entropy[-1]),

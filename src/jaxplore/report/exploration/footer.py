@@ -3,11 +3,12 @@
 import numpy as np
 from PIL import Image
 
+from jaxplore.report.coverage_levels import at_instants
 from jaxplore.report.drawing.footer import EDGE, Footer
 from jaxplore.report.drawing.picture import SUPERSAMPLING
 from jaxplore.report.exploration.canvas import Canvas
 from jaxplore.report.exploration.data import ExplorationFrame
-from jaxplore.report.exploration.progress import at_instants, is_known_map
+from jaxplore.report.exploration.progress import is_known_map
 
 
 def draw_footer(canvas: Canvas, frame: ExplorationFrame, image: Image.Image) -> None:

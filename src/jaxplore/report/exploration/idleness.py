@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
+from jaxplore.report.coverage_levels import at_instants
 from jaxplore.report.drawing.colours import OCCUPIED, SERIES, shade
 from jaxplore.report.drawing.series import style_time
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.map_axes import frame_map
 from jaxplore.report.exploration.missions import find_judged_start
-from jaxplore.report.exploration.progress import at_instants
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ import math
 from typing import Any
 
 from jaxplore.report._numbers import numbers, percent, text
+from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.exploration.anomalies import report_texts
 from jaxplore.report.exploration.objects import object_rows
-from jaxplore.report.exploration.progress import LEVELS
 from jaxplore.report.metrics import Column, Curve, Metrics
 
 
@@ -22,8 +22,6 @@ class ExplorationMetrics(Metrics):
             still get, the walls of its map, or never.
         walls_seen: share of the true wall cells around the free space of the start that the robot's
             map shows at the end; None where the robot takes itself to be elsewhere.
-        given_up_at: time at which it was given up, because nothing new was seen [s]; None if it was
-            not.
         time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
             reached [s]; None if never. The record of step k holds the coverage measured at the
             beginning of that step, so the time is k control periods.
@@ -120,7 +118,6 @@ class ExplorationMetrics(Metrics):
     goal_distance: float | None
     command_jerk: float | None
     fault_steps: int
-    given_up_at: float | None = None
     stops: dict[str, int] = dataclasses.field(default_factory=dict)
     stopped_steps: int = 0
     collisions: int

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
+from jaxplore.report.coverage_levels import LEVELS, at_instants
 from jaxplore.report.drawing.colours import (
     CLOSED,
     CLOSED_SHARE,
@@ -34,13 +35,7 @@ from jaxplore.report.exploration.overlays import (
     add_targets,
     find_closed_cells,
 )
-from jaxplore.report.exploration.progress import (
-    LEVELS,
-    at_instants,
-    find_carried_steps,
-    is_known_map,
-    progress,
-)
+from jaxplore.report.exploration.progress import find_carried_steps, is_known_map, progress
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:

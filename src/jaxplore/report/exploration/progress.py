@@ -3,15 +3,12 @@
 from collections import deque
 
 import numpy as np
-from jax.typing import ArrayLike
 
+from jaxplore.report.coverage_levels import LEVELS, at_instants
 from jaxplore.report.exploration.data import ExplorationData
 
 STALL_RADIUS = 0.25
 """Half the side of the square within which a robot counts as stalled [m]."""
-LEVELS = (50, 90, 95, 99)
-"""Coverages [%] at which time and path are compared. A run that begins at the last one has a map
-that was known in advance."""
 
 
 def progress(recording: ExplorationData) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -39,12 +36,6 @@ def find_carried_steps(recording: ExplorationData) -> np.ndarray:
     """Return the mask (N,) of the steps at whose end a fault carried the robot to another place."""
     given = recording.records.is_carried
     return np.zeros(recording.num_steps, bool) if given is None else np.asarray(given, bool)
-
-
-def at_instants(values: ArrayLike, initial: float) -> np.ndarray:
-    """Repeat the last of N values for N + 1 instants; take `initial` if there are no steps."""
-    rows = np.asarray(values)
-    return np.append(rows, rows[-1:] if len(rows) else [initial])
 
 
 def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:

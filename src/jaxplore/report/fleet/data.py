@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.maps.datum import move_points
+from jaxplore.report.coverage_levels import at_instants
 from jaxplore.report.recording import Frame, RunData
 
 
@@ -155,18 +156,11 @@ class FleetData(RunData):
 
     @property
     def coverage(self) -> np.ndarray:
-        """Coverage (steps + 1,) at each instant.
-
-        The record of step k holds what was known at its beginning, so the last instant has the
-        value of the last step.
-        """
-        rows = np.asarray(self.records.coverage, np.float64)
-        return np.append(rows, rows[-1]) if len(rows) else np.array([self.initial_coverage])
+        """Coverage (steps + 1,) at each instant."""
+        return at_instants(self.records.coverage, self.initial_coverage)
 
     @property
     def coverages(self) -> np.ndarray:
         """Coverage (N, steps + 1) of each robot's own map, likewise."""
-        rows = np.asarray(self.records.coverages, np.float64)
-        if not len(rows):
-            return np.full((self.num_robots, 1), self.initial_coverage)
-        return np.concatenate([rows, rows[-1:]]).T
+        start = np.full(self.num_robots, self.initial_coverage)
+        return at_instants(self.records.coverages, start).T

@@ -5,12 +5,10 @@ import dataclasses
 import numpy as np
 
 from jaxplore.report._numbers import finite, percent, text
+from jaxplore.report.coverage_levels import LEVELS, describe_levels, reach_levels
 from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import episodes
-
-LEVELS = (50, 90, 95, 99)
-"""Levels of coverage whose times are metrics [%]."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -22,7 +20,6 @@ class FleetMetrics(Metrics):
         coordination: how the robots divided the places among themselves.
         coverage: share of the reachable cells that some robot knows to be free at the end.
         target_coverage: coverage at which the exploration is finished.
-        given_up_at: time at which it was given up [s]; None if it was not.
         time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
             reached [s]; None if never.
         path_to: distance that all robots together had driven by then [m].
@@ -44,7 +41,6 @@ class FleetMetrics(Metrics):
     coordination: str
     coverage: float
     target_coverage: float
-    given_up_at: float | None
     time_to: dict[str, float | None]
     path_to: dict[str, float | None]
     path_lengths: tuple[float, ...]
@@ -78,22 +74,11 @@ class FleetMetrics(Metrics):
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the main metrics as (name, text)."""
-        if self.finished_at is not None:
-            end = f"finished after {self.finished_at:.2f} s"
-        elif self.given_up_at is not None:
-            end = f"given up after {self.given_up_at:.2f} s"
-        else:
-            end = "not finished"
-        times = [
-            f"{level} % after {seconds:.1f} s"
-            for level, seconds in self.time_to.items()
-            if seconds is not None
-        ]
         each = ", ".join(f"{metres:.1f}" for metres in self.path_lengths)
         return [
-            ("duration", f"{self.duration:.2f} s, {self.num_steps} steps, {end}"),
+            self.duration_row(),
             ("robots", f"{self.num_robots}, coordination: {self.coordination}"),
-            ("coverage", f"{percent(self.coverage)}, {', '.join(times) or 'less than 50 %'}"),
+            ("coverage", f"{percent(self.coverage)}, {describe_levels(self.time_to)}"),
             ("least known", f"{percent(self.least_coverage)} by one robot"),
             ("path", f"{self.path_length:.1f} m: {each}"),
             ("contacts", f"{self.contacts} between robots, {self.collisions} with walls"),
@@ -107,9 +92,6 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
     """Compute the metrics of a run; without a step those of its start."""
     records, period = data.records, data.control_period
     coverage, path = data.coverage, data.lengths.sum(axis=0)
-    # The last entry repeats the one before: nothing was measured after the last step.
-    known = coverage[: max(1, data.num_steps)]
-    reached = {str(level): np.flatnonzero(known >= level / 100) for level in LEVELS}
     pairs = data.num_robots * (data.num_robots - 1) // 2
     sizes = np.asarray(records.effective_sample_size, np.float64)
     collisions = np.asarray(records.is_collision, bool).reshape(-1, data.num_robots)
@@ -124,8 +106,7 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         coverage=float(coverage[-1]),
         target_coverage=data.target_coverage,
         given_up_at=at["given_up"],
-        time_to={name: float(k[0] * period) if len(k) else None for name, k in reached.items()},
-        path_to={name: float(path[k[0]]) if len(k) else None for name, k in reached.items()},
+        **reach_levels(coverage, path, period),
         path_lengths=tuple(float(each) for each in data.lengths[:, -1]),
         path_length=float(path[-1]),
         collisions=sum(episodes(each) for each in collisions.T),

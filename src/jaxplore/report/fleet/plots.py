@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.drawing.colours import belief_colours
 from jaxplore.report.drawing.palette import INK
 from jaxplore.report.drawing.series import line_style, style_time
@@ -15,7 +16,7 @@ from jaxplore.report.exploration.map_axes import (
 )
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.fleet.data import FleetData
-from jaxplore.report.fleet.metrics import LEVELS, compute_metrics
+from jaxplore.report.fleet.metrics import compute_metrics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

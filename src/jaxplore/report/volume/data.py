@@ -8,7 +8,14 @@ import numpy as np
 
 from jaxplore._types import ControlVector, Flag, Scalar, StateVector
 from jaxplore.maps.datum import move_points
-from jaxplore.report._numbers import finite
+from jaxplore.report._numbers import finite, numbers, percent
+from jaxplore.report.coverage_levels import (
+    LEVELS,
+    at_instants,
+    describe_levels,
+    find_first,
+    reach_levels,
+)
 from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import episodes
 from jaxplore.report.recording import Frame, RunData, move_records, move_states
@@ -83,6 +90,7 @@ class VolumeData(RunData):
         initial_coverage: coverage before the first step.
         target_coverage: coverage at which the exploration is finished.
         robot_radius: radius of the robot [m].
+        given_up_step: number of steps until it was given up; None if it was not.
     """
 
     records: VolumeRecord
@@ -97,6 +105,7 @@ class VolumeData(RunData):
     initial_coverage: float
     target_coverage: float
     robot_radius: float
+    given_up_step: int | None = None
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
@@ -105,6 +114,11 @@ class VolumeData(RunData):
             "start": move_states(self.start, offset, self.state_names),
             "origin": move_points(self.origin, offset),
         }
+
+    @property
+    def coverage(self) -> np.ndarray:
+        """Coverage (N + 1,) at each instant."""
+        return at_instants(self.records.coverage, self.initial_coverage)
 
     @property
     def positions(self) -> np.ndarray:
@@ -151,34 +165,43 @@ class VolumeMetrics(Metrics):
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
     )
-    plotted = (Curve("coverage", "coverage"),)
+    plotted = (Curve("coverage", "coverage [%]", 100.0, 100.0), Curve("path", "path [m]"))
+    levels = LEVELS
 
     def series(self) -> dict[str, list[float | None]]:
         """Return `curve`."""
         return self.curve
 
-
-LEVELS = (50, 90, 95, 99)
-"""Levels of coverage whose times are metrics [%]."""
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the main metrics as (name, text)."""
+        levels = describe_levels(self.time_to)
+        return [
+            self.duration_row(),
+            ("coverage", f"{percent(self.coverage)} of {self.volume:.1f} m³, {levels}"),
+            ("path", f"{self.path_length:.1f} m, {self.mean_speed:.2f} m/s in the mean"),
+            ("collisions", str(self.collisions)),
+            *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
+            *numbers("sample size", "{:.1f} effective", self.mean_effective_sample_size),
+            *self.last_rows(),
+        ]
 
 
 def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> VolumeMetrics:
     """Compute the metrics of a run; without a step those of its start."""
     records, period = data.records, data.control_period
-    coverage = np.concatenate([[data.initial_coverage], records.coverage]).astype(np.float64)
+    coverage, given_up = data.coverage, data.given_up_step
     steps = np.linalg.norm(np.diff(data.positions, axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])
-    reached = {str(level): np.flatnonzero(coverage >= level / 100) for level in LEVELS}
-    done = np.flatnonzero(coverage >= data.target_coverage)
+    done = find_first(coverage, data.target_coverage)
+    # A run ends with the step in which its target is reached, or takes none.
+    finished_at = None if done is None else min(done + 1, data.num_steps) * period
     sizes = np.asarray(records.effective_sample_size, np.float64)
     curve = {"time": data.time, "coverage": coverage, "path": path}
     return VolumeMetrics(
-        **data.common_metrics(
-            finished_at=float(done[0] * period) if len(done) else None, seed=seed
-        ),
+        **data.common_metrics(finished_at=finished_at, seed=seed),
         coverage=float(coverage[-1]),
-        time_to={name: float(k[0] * period) if len(k) else None for name, k in reached.items()},
-        path_to={name: float(path[k[0]]) if len(k) else None for name, k in reached.items()},
+        given_up_at=None if given_up is None else given_up * period,
+        **reach_levels(coverage, path, period),
         path_length=float(path[-1]),
         volume=float(data.observable.sum()) * data.resolution**3,
         collisions=episodes(np.asarray(records.is_collision, bool)),

@@ -217,8 +217,7 @@ def coverage_figure(data: VolumeData) -> "Figure":
 
     figure = Figure(figsize=(7.0, 3.5))
     axes = figure.add_subplot()
-    coverage = np.concatenate([[data.initial_coverage], data.records.coverage])
-    axes.plot(data.time, 100.0 * coverage, color=TRAIL)
+    axes.plot(data.time, 100.0 * data.coverage, color=TRAIL)
     axes.axhline(100.0 * data.target_coverage, color="0.6", linestyle="--", linewidth=1.0)
     axes.set_xlabel("time [s]")
     axes.set_ylabel("volume known [%]")

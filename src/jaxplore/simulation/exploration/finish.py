@@ -9,6 +9,7 @@ from jaxplore._types import Count, Flag, Position, Scalar
 from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.robot.knowledge import Knowledge
 
@@ -22,7 +23,7 @@ PATIENCE = 60.0
 """Time without progress beyond that of a drive across the map and back [s]."""
 
 
-def default_give_up_after(world: OccupancyGrid, robot: Dynamics) -> float:
+def default_give_up_after(world: OccupancyGrid | VoxelGrid, robot: Dynamics) -> float:
     """Return the time without progress after which an exploration is given up [s].
 
     It is `PATIENCE + 2 L / v`: the robot may drive the diagonal L of the map twice at its greatest

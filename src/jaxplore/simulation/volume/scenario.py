@@ -23,6 +23,7 @@ from jaxplore._types import (
     Vector,
 )
 from jaxplore._xla import on_device
+from jaxplore.belief.gain import Gain
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
@@ -36,6 +37,7 @@ from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.robot.clock import whole_steps
 from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
@@ -46,11 +48,15 @@ TOUCHING = 1.0
 
 
 class VolumeState(NamedTuple):
-    """State of the exploration of a volume; `num_known` observable voxels are known to be free."""
+    """State of the exploration of a volume.
+
+    `num_known` observable voxels are known to be free, and `gain` is the last rise of their share.
+    """
 
     robot: StateVector
     belief: VolumeBelief
     num_known: Count
+    gain: Gain
 
 
 class VolumeScenario(Scenario):
@@ -60,7 +66,8 @@ class VolumeScenario(Scenario):
     Voxels that the world does not know to be free are solid. *Observable* are the free voxels that
     a level sensor sees from some place where the robot fits and that is connected with the start;
     coverage is the share of them that the robot's map knows to be free. The exploration is finished
-    at the target coverage.
+    at the target coverage, and given up when the coverage has not risen by 0.1 % for
+    `give_up_after`: what is left cannot be seen from where the robot fits.
 
     Args:
         world: the true volume, hidden from the robot.
@@ -72,7 +79,11 @@ class VolumeScenario(Scenario):
         sensing_rate: rate of scans and map updates [Hz]; a whole fraction of the control rate.
         field_rate: rate of updates of the information and guidance [Hz], likewise.
         target_coverage: share of the observable volume at which the exploration is finished.
-        faults: injected faults of odometry, scans and delays; none when absent.
+        give_up_after: time without a rise of the coverage after which the exploration is given up
+            [s]; when absent a minute and the time of a flight along the diagonal of the volume and
+            back at 1 m/s.
+        faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
+            is not carried away.
         datum: point of a file's coordinates to which all positions here are relative; frames and
             recordings are in those of the file.
 
@@ -94,6 +105,7 @@ class VolumeScenario(Scenario):
     steps_per_scan: Count
     steps_per_field: Count
     target_coverage: Scalar
+    give_up_after: Scalar
     observable: Bool[Array, "D H W"]
     num_observable: Scalar
     faults: Faults | None
@@ -111,6 +123,7 @@ class VolumeScenario(Scenario):
         sensing_rate: float = 10.0,
         field_rate: float = 5.0,
         target_coverage: ArrayLike = 0.95,
+        give_up_after: ArrayLike | None = None,
         faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
@@ -120,6 +133,10 @@ class VolumeScenario(Scenario):
         _kinds.instance("faults", faults, Faults, may_be_none=True)
         if faults is not None and faults.carried_at is not None:
             raise ValueError("faults has carried_at in a volume; accepted: faults without it")
+        if faults is not None and faults.walls is not None and faults.walls.shape != world.shape:
+            raise ValueError(
+                f"walls has shape {faults.walls.shape}; accepted: the world's, {world.shape}"
+            )
         _kinds.instance("datum", datum, Datum)
         self.placed = HostOnly(datum)
         several = isinstance(sensors, Sequence)
@@ -152,6 +169,9 @@ class VolumeScenario(Scenario):
         self.target_coverage = _checks.scalar(
             "target_coverage", target_coverage, above=0.0, at_most=1.0
         )
+        if give_up_after is None:
+            give_up_after = default_give_up_after(world, robot)
+        self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
         self.reach = math.ceil(max(TOUCHING, 2.0 * radius) / world.resolution)
 
     @property
@@ -171,7 +191,8 @@ class VolumeScenario(Scenario):
         )
         belief = self.perception.init(blank, position_upwards(self.start))
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
-        return VolumeState(self.start, belief, known), belief
+        gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
+        return VolumeState(self.start, belief, known, gain), belief
 
     def perceive(
         self, state: VolumeState, moment: Moment, key: Key
@@ -183,9 +204,9 @@ class VolumeScenario(Scenario):
 
         def scan_once(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
             before, known = given
-            keys = jax.random.split(key, len(self.sensors))
+            keys, world = jax.random.split(key, len(self.sensors)), self.world_at(moment.step)
             scans = [
-                sensor.scan(self.world, truly, truly_turned, key=each)
+                sensor.scan(world, truly, truly_turned, key=each)
                 for sensor, each in zip(self.sensors, keys, strict=True)
             ]
             window = self.perception.scan_window(before.grid, at, turn)
@@ -215,7 +236,9 @@ class VolumeScenario(Scenario):
             moment.step % self.steps_per_field == 0, with_fields, lambda same: same, belief
         )
         belief = eqx.combine(belief, stored)
-        return state._replace(belief=belief, num_known=known), belief
+        state = state._replace(belief=belief, num_known=known)
+        gain = state.gain.update(self.coverage(state), self.control_period)
+        return state._replace(gain=gain), belief
 
     def advance(
         self, state: VolumeState, control: ControlVector, moment: Moment, info: Info
@@ -225,16 +248,17 @@ class VolumeScenario(Scenario):
         If the move would touch something solid, the robot stops instead, and the step counts as a
         collision.
         """
+        world = self.world_at(moment.step)
         moved = self.robot.step(state.robot, control, self.control_period)
         is_finite = jnp.all(jnp.isfinite(moved))
-        is_collision = is_finite & (self.clearance(moved) < 0.0)
+        is_collision = is_finite & (self.clearance(moved, world) < 0.0)
         after = jnp.where(is_finite, moved, state.robot)
         after = jnp.where(is_collision, self._stop(state.robot), after)
         record = VolumeRecord(
             state=after,
             control=control,
             coverage=self.coverage(state),
-            clearance=self.clearance(after),
+            clearance=self.clearance(after, world),
             is_collision=is_collision,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
@@ -242,8 +266,13 @@ class VolumeScenario(Scenario):
         return state._replace(robot=after), record
 
     def is_unfinished(self, state: VolumeState) -> Flag:
-        """Check whether the coverage is below its target."""
-        return self.coverage(state) < self.target_coverage
+        """Check whether the exploration is neither finished nor given up."""
+        return (self.coverage(state) < self.target_coverage) & ~self.is_given_up(state)
+
+    def is_given_up(self, state: VolumeState) -> Flag:
+        """Check whether the coverage has not risen for `give_up_after`, below its target."""
+        is_below = self.coverage(state) < self.target_coverage
+        return is_below & (state.gain.since >= self.give_up_after)
 
     def progress(self, state: VolumeState) -> tuple[float, str]:
         """Return the share of the target coverage, and the coverage in words."""
@@ -254,13 +283,21 @@ class VolumeScenario(Scenario):
         """Return the share of the observable volume that is known to be free."""
         return state.num_known.astype(jnp.float32) / self.num_observable
 
-    def clearance(self, state: StateVector) -> Scalar:
+    def world_at(self, step: Count) -> VoxelGrid:
+        """Return the true world in a step, with the walls that have appeared."""
+        if self.faults is None:
+            return self.world
+        return self.faults.world(self.world, self.control_period * step.astype(jnp.float32))
+
+    def clearance(self, state: StateVector, world: VoxelGrid | None = None) -> Scalar:
         """Return the distance from the robot's edge to the nearest solid voxel [m], up to a reach.
 
         Args:
             state: (nx,) state of the robot.
+            world: the true world then; that of the start when absent.
         """
-        grid = self.world.to_grid(position_upwards(state))
+        world = self.world if world is None else world
+        grid = world.to_grid(position_upwards(state))
         centre = jnp.floor(jnp.where(jnp.isfinite(grid), grid, 0.0)).astype(jnp.int32)
         reach = self.reach
         offsets = jnp.stack(
@@ -268,12 +305,12 @@ class VolumeScenario(Scenario):
         ).reshape(3, -1)
         voxels = centre[:, None] + offsets
         # Off the volume nothing is known to be free.
-        solid = self.world.at(voxels, outside=0.0) >= FREE_BELOW
+        solid = world.at(voxels, outside=0.0) >= FREE_BELOW
         low = voxels.astype(grid.dtype)
         # Distance from the centre of the robot to each voxel, which is a cube.
         gap = jnp.maximum(jnp.maximum(low - grid[:, None], grid[:, None] - low - 1.0), 0.0)
         squared = jnp.where(solid, jnp.sum(gap * gap, axis=0), float(reach**2))
-        return jnp.sqrt(jnp.min(squared)) * self.world.resolution - self.robot.radius
+        return jnp.sqrt(jnp.min(squared)) * world.resolution - self.robot.radius
 
     def frame(
         self, state: VolumeState, moment: Moment, inspect: Inspect | None, key: Key
@@ -314,6 +351,7 @@ class VolumeScenario(Scenario):
             initial_coverage=float(self.coverage(before)),
             target_coverage=float(self.target_coverage),
             robot_radius=float(self.robot.radius),
+            given_up_step=run.num_steps if bool(self.is_given_up(run.state.task)) else None,
         )
         return local.move(self.datum.offset)
 

@@ -7,9 +7,10 @@ import numpy as np
 
 from jaxplore._files import parse_json
 from jaxplore._optional import import_optional
+from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.metrics import ExplorationMetrics
-from jaxplore.report.exploration.progress import LEVELS, progress
+from jaxplore.report.exploration.progress import progress
 from jaxplore.report.metrics import CURVE_PERIOD
 from jaxplore.settings.exploration import Settings
 from jaxplore.study.comparison.episodes import FORMAT, MapEpisode, canonical
