@@ -14,11 +14,12 @@ import pytest
 from PIL import Image, ImageDraw
 
 import jaxplore as jx
-from jaxplore.report import Column, Curve, Metrics, Recording, thin_series
+from jaxplore.report import Column, Curve, LiveCurves, Metrics, Recording, thin_series
 from jaxplore.simulation.batch import record_runs
 from jaxplore.simulation.environment.action_modes import ControlMode
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.study.tuning import ControllerEpisodes, tune
+from jaxplore.view.history import History
 
 
 # The task begins here.
@@ -140,6 +141,22 @@ def test_it_is_simulated_and_saved(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.recording.records.state, run.recording.records.state)
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["visited"] == 3
     assert "visited" in str(run.metrics)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlottedRecording(BeaconRecording):
+    @property
+    def live_curves(self):
+        return LiveCurves("beacons", ("visited",), np.asarray(self.records.visited)[None])
+
+
+def test_a_view_plots_the_curves_that_its_recording_has() -> None:
+    recording = jx.simulate(CONTROLLER, TASK, 400, key=jax.random.key(0)).recording
+    assert History(recording).plots() == ()
+    fields = {each.name: getattr(recording, each.name) for each in dataclasses.fields(recording)}
+    (plot,) = History(PlottedRecording(**fields)).plots()
+    assert (plot.title, plot.names) == ("beacons", ("visited",))
+    assert plot.rows[-1].tolist() == pytest.approx([recording.time[-1], 3.0])
 
 
 def test_it_runs_side_by_side_as_alone() -> None:

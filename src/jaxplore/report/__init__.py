@@ -20,4 +20,5 @@ from jaxplore.report.metrics import Curve as Curve
 from jaxplore.report.metrics import Metrics as Metrics
 from jaxplore.report.metrics import thin_series as thin_series
 from jaxplore.report.recording import Frame as Frame
+from jaxplore.report.recording import LiveCurves as LiveCurves
 from jaxplore.report.recording import Recording as Recording

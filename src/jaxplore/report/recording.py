@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -80,6 +80,20 @@ def move_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
     return records._replace(state=move_states(records.state, offset, names))
 
 
+class LiveCurves(NamedTuple):
+    """Curves over time that a live view plots beside the picture of a run.
+
+    Args:
+        title: title of the plot; it tells the unit.
+        names: name of each of the C curves.
+        values: (C, N) value of each at the N steps that the data have.
+    """
+
+    title: str
+    names: tuple[str, ...]
+    values: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunData:
     """Data that the recordings of all tasks share.
@@ -107,6 +121,11 @@ class RunData:
     def time(self) -> np.ndarray:
         """Times (N + 1,) of the start and of the end of each step [s]."""
         return np.arange(self.num_steps + 1) * self.control_period
+
+    @property
+    def live_curves(self) -> "LiveCurves | None":
+        """What a live view plots over time; None by default."""
+        return None
 
     def move[R: "RunData"](self: R, offset: np.ndarray) -> R:
         """Return the data with an offset (2,) [m] added to all positions but those of the frames.

@@ -7,12 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxplore.report.exploration.data import ExplorationData
-from jaxplore.report.fleet.data import FleetData
-from jaxplore.report.following.data import PathData
-from jaxplore.report.following.laps import speeds
 from jaxplore.report.recording import Frame, Recording
-from jaxplore.report.volume.data import VolumeData
 from jaxplore.simulation.record_buffer import RecordBuffer
 
 MOST_POINTS = 2000
@@ -67,28 +62,19 @@ class History:
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
         self._records = RecordBuffer(_none_of(recording.records))
-        self._trail = Thinned(3 if isinstance(recording, VolumeData) else 2, MOST_POINTS)
         self._curve: Thinned | None = None
         self._terms: Thinned | None = None
-        self._title, self._curves, self._term_names = "", tuple[str, ...](), tuple[str, ...]()
+        self._term_names = tuple[str, ...]()
         self._state = getattr(recording, "start", None)
-        if isinstance(recording, ExplorationData):
-            has_targets = len(recording.targets) > 0
-            self._title = "coverage and targets found" if has_targets else "coverage"
-            self._curves = ("coverage", "targets found") if has_targets else ("coverage",)
-        elif isinstance(recording, VolumeData):
-            self._title, self._curves = "coverage", ("coverage",)
-        elif isinstance(recording, FleetData):
-            own = tuple(f"robot {number + 1}" for number in range(recording.num_robots))
-            # The robots come first, so that their curves have the colours of the picture.
-            self._title, self._curves = "coverage", (*own, "together")
-        elif isinstance(recording, PathData):
-            self._title, self._curves = "speed [m/s]", ("speed",)
-        if self._curves:
-            self._curve = Thinned(1 + len(self._curves), MOST_SAMPLES)
-            start: Any = recording
-            first = dataclasses.replace(start, records=_none_of(recording.records))
-            self._trail.add(first.positions[:1])
+        start: Any = recording
+        first = dataclasses.replace(start, records=_none_of(recording.records))
+        self._curves = first.live_curves
+        if self._curves is not None:
+            self._curve = Thinned(1 + len(self._curves.names), MOST_SAMPLES)
+        # A task may have no positions.
+        place = getattr(first, "positions", np.zeros((0, 2)))
+        self._trail = Thinned(place.shape[1], MOST_POINTS)
+        self._trail.add(place[:1])
         self.add(recording.records, recording.time[1:])
         for frame in recording.frames:
             self.add_frame(frame)
@@ -105,19 +91,16 @@ class History:
             return
         self._records.append(records)
         run: Any = self.recording
-        if self._curve is None:
-            return
-        part = dataclasses.replace(run, records=records, start=self._state)
-        self._trail.add(part.positions[1:])
-        if isinstance(part, (ExplorationData, FleetData, VolumeData)):
-            own = records.coverages.T if isinstance(part, FleetData) else ()
-            values = [*own, records.coverage]
-            if isinstance(part, ExplorationData) and len(self._curves) > 1:
-                values.append(records.targets_seen / len(part.targets))
-        else:
-            values = [speeds(part)[1:]]
-        self._curve.add(np.stack([time, *values], axis=-1).astype(np.float64))
-        self._state = records.state[-1]
+        begin = {} if self._state is None else {"start": self._state}
+        part = dataclasses.replace(run, records=records, **begin)
+        if hasattr(part, "positions"):
+            self._trail.add(part.positions[1:])
+        curves = part.live_curves
+        if self._curve is not None and curves is not None:
+            rows = np.stack([time, *curves.values], axis=-1)
+            self._curve.add(rows.astype(np.float64))
+        if self._state is not None and hasattr(records, "state"):
+            self._state = records.state[-1]
 
     def catch_up(self, recording: Recording) -> None:
         """Append the steps of the whole run that were not added yet."""
@@ -141,8 +124,8 @@ class History:
     def plots(self) -> tuple[Plot, ...]:
         """Return the curves so far."""
         found = []
-        if self._curve is not None:
-            found.append(Plot(self._title, self._curves, self._curve.rows))
+        if self._curve is not None and self._curves is not None:
+            found.append(Plot(self._curves.title, self._curves.names, self._curve.rows))
         if self._terms is not None:
             names = tuple(map(plain, self._term_names))
             found.append(Plot("cost of the plan by term", names, self._terms.rows))

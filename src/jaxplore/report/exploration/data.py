@@ -8,7 +8,7 @@ import numpy as np
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.control.base import Members
 from jaxplore.maps.datum import move_points
-from jaxplore.report.recording import Frame, RunData, move_records, move_states
+from jaxplore.report.recording import Frame, LiveCurves, RunData, move_records, move_states
 
 
 class MapProgress(NamedTuple):
@@ -296,6 +296,17 @@ class ExplorationData(RunData):
                 for name in ("origin", "field_origin", "targets")
             },
         }
+
+    @property
+    def live_curves(self) -> LiveCurves:
+        """The coverage, and the share of the targets that were found."""
+        rows = [np.asarray(self.records.coverage)]
+        if not len(self.targets):
+            return LiveCurves("coverage", ("coverage",), np.stack(rows))
+        rows.append(np.asarray(self.records.targets_seen) / len(self.targets))
+        return LiveCurves(
+            "coverage and targets found", ("coverage", "targets found"), np.stack(rows)
+        )
 
     @property
     def positions(self) -> np.ndarray:

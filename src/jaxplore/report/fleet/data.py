@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.maps.datum import move_points
 from jaxplore.report.coverage_levels import at_instants
-from jaxplore.report.recording import Frame, RunData
+from jaxplore.report.recording import Frame, LiveCurves, RunData
 
 
 class FleetRecord(NamedTuple):
@@ -153,6 +153,15 @@ class FleetData(RunData):
         """Distance that each robot has driven (N, steps + 1) [m]."""
         steps = np.linalg.norm(np.diff(self.trails, axis=1), axis=-1)
         return np.concatenate([np.zeros((self.num_robots, 1)), np.cumsum(steps, axis=1)], axis=1)
+
+    @property
+    def live_curves(self) -> LiveCurves:
+        """The coverage by the map of each robot and by all together."""
+        # The robots come first, so that their curves have the colours of the picture.
+        names = *(f"robot {number + 1}" for number in range(self.num_robots)), "together"
+        own = np.asarray(self.records.coverages).reshape(-1, self.num_robots)
+        together = np.asarray(self.records.coverage)[:, None]
+        return LiveCurves("coverage", names, np.concatenate([own, together], axis=1).T)
 
     @property
     def coverage(self) -> np.ndarray:

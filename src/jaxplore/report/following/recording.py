@@ -14,9 +14,10 @@ from jaxplore.report.following.animation import (
     path_palette,
 )
 from jaxplore.report.following.data import PathData, PathFrame
+from jaxplore.report.following.laps import speeds
 from jaxplore.report.following.metrics import PathMetrics, compute_path_metrics
 from jaxplore.report.following.plots import errors_figure, path_figure
-from jaxplore.report.recording import Recording
+from jaxplore.report.recording import LiveCurves, Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,6 +29,11 @@ class PathRecording(PathData, Recording):
     `following.gif`."""
 
     animation = "following.gif"
+
+    @property
+    def live_curves(self) -> LiveCurves:
+        """The speed after each step."""
+        return LiveCurves("speed [m/s]", ("speed",), speeds(self)[None, 1:])
 
     def metrics(self, *, seed: int | None = None) -> PathMetrics:
         """Compute the metrics of the run."""

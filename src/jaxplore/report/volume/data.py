@@ -18,7 +18,7 @@ from jaxplore.report.coverage_levels import (
 )
 from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import episodes
-from jaxplore.report.recording import Frame, RunData, move_records, move_states
+from jaxplore.report.recording import Frame, LiveCurves, RunData, move_records, move_states
 
 
 class VolumeRecord(NamedTuple):
@@ -114,6 +114,11 @@ class VolumeData(RunData):
             "start": move_states(self.start, offset, self.state_names),
             "origin": move_points(self.origin, offset),
         }
+
+    @property
+    def live_curves(self) -> LiveCurves:
+        """The coverage."""
+        return LiveCurves("coverage", ("coverage",), np.asarray(self.records.coverage)[None])
 
     @property
     def coverage(self) -> np.ndarray:
