@@ -28,6 +28,7 @@ pytestmark = pytest.mark.long
 
 STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4), (1.9, 1.5, 0.1))
 FAR, NEAR = 100.0, 0.5
+TARGETS = ((2.8, 2.8), (5.5, 2.6))
 
 
 def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, fleet, run) -> None:
@@ -46,15 +47,16 @@ def mixed(alone, drive, run):
     """Return what makes state and records of robots of two kinds, whose starts have an order.
 
     They are two differential drives, and between them a unicycle of another size with another
-    lidar.
+    lidar. They look for two targets, one in their room and one in the other.
     """
     robot = Unicycle(max_speed=0.8, radius=0.12)
     lidar = Lidar(num_beams=24, max_range=1.2)
     perception = Perception(lidar, 0.1, 0.12, num_directions=4, max_clearance=0.5)
     rates = {"control_rate": 20.0, "field_rate": 4.0}
     other = ExplorationScenario(
-        alone.world, robot, lidar, STARTS[1], perception=perception, **rates
+        alone.world, robot, lidar, STARTS[1], perception=perception, targets=TARGETS, **rates
     )
+    alone = eqx.tree_at(lambda each: each.targets, alone, other.targets)
     one = drive(has_others=True)
     cost = MovingObstacleCost(nearness=None, clearance=0.6)
     two = explorer(
@@ -101,6 +103,36 @@ def test_robots_of_different_kinds_explore_together(mixed) -> None:
     merged = [np.asarray(each) for each in state.task.team.merged]
     for each in merged[1:]:
         np.testing.assert_allclose(each, merged[0], atol=2e-5)
+
+
+def test_a_target_counts_when_any_robot_has_it_in_sight(mixed) -> None:
+    fleet, state, records = mixed((0, 1, 2))
+    starts = np.asarray(fleet.start)[None]
+    whole = [np.concatenate(each) for each in zip(
+        np.split(starts, np.cumsum([each.state_size for each in fleet.robot.robots])[:-1], axis=1),
+        states_of(fleet, records), strict=True,
+    )]  # fmt: skip
+    # Nothing stands between a robot and a target in its room. It scans in every second step.
+    ranges = [each.sensors[0].max_range for each in fleet.members]
+    away = [np.hypot(*(each[:-1, :2] - TARGETS[0]).T) for each in whole]
+    is_near = np.stack([each < most for each, most in zip(away, ranges, strict=True)]).any(axis=0)
+    first = next(k for k in range(0, 50, 2) if is_near[k])
+    assert first > 0
+    assert int(np.argmax(records.targets_seen >= 1)) == first
+    # The other one is behind the wall.
+    assert records.targets_seen.max() == 1
+    assert state.task.is_seen.tolist() == [True, False]
+    assert not bool(fleet.is_finished(state.task))
+    assert bool(fleet.is_finished(state.task._replace(is_seen=jnp.ones(2, bool))))
+    # It is not given up, however long nothing new is seen.
+    gain = state.task.gain._replace(since=jnp.asarray(1e6))
+    assert not bool(fleet.is_given_up(state.task._replace(gain=gain)))
+
+
+def test_robots_look_for_the_same_targets(alone) -> None:
+    other = eqx.tree_at(lambda each: each.targets, alone, jnp.ones((1, 2)))
+    with pytest.raises(ValueError, match=r"targets of robots\[1\] differ; accepted: those of"):
+        Fleet([alone, other], STARTS[:2])
 
 
 def test_robots_in_range_know_the_same_and_those_out_of_range_do_not(paired) -> None:

@@ -4,6 +4,7 @@ import json
 import numpy as np
 import pytest
 
+from jaxplore.report.drawing.colours import TARGET
 from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.progress import progress
 
@@ -20,6 +21,38 @@ def test_levels_are_timed_at_the_beginning_of_the_step_that_records_them(recordi
     assert metrics.initial_entropy == 100.0
     assert metrics.final_entropy == 10.0
     assert metrics.reachable_area == pytest.approx(18 * 28 * 0.01)
+
+
+def test_a_search_by_a_fleet_counts_its_targets(fleet_run):
+    seen = np.array([0, 0, 1, 1, 2, 2])
+    searched = dataclasses.replace(
+        fleet_run,
+        records=fleet_run.records._replace(targets_seen=seen),
+        targets=np.array([[0.5, 0.5], [1.5, 1.0]]),
+        frames=tuple(
+            dataclasses.replace(each, is_found=np.array([each.step > 2, each.step > 4]))
+            for each in fleet_run.frames
+        ),
+    )
+    metrics = searched.metrics()
+    assert (metrics.num_targets, metrics.targets_seen) == (2, 2)
+    # The record of step 4 has what was seen at its beginning.
+    assert metrics.last_target_at == pytest.approx(0.4)
+    assert ("targets", "2 of 2 seen, the last at 0.40 s") in metrics.rows()
+    curves = searched.live_curves
+    assert curves.names == ("robot 1", "robot 2", "together", "targets found")
+    np.testing.assert_allclose(curves.values[-1], seen / 2)
+    plain, marked = (
+        np.asarray(each.frame_image(each.frames[-1])) for each in (fleet_run, searched)
+    )
+    assert (marked == TARGET).all(axis=-1).sum() > 20 > (plain == TARGET).all(axis=-1).sum()
+    labels = searched.figures()["map"]().axes[0].get_legend_handles_labels()[1]
+    assert "target found" in labels
+    moved = searched.move(np.array([10.0, 20.0]))
+    np.testing.assert_allclose(moved.targets, searched.targets + np.array([10.0, 20.0]))
+    without = fleet_run.metrics()
+    assert (without.num_targets, without.last_target_at) == (0, None)
+    assert "targets" not in dict(without.rows())
 
 
 def test_levels_never_reached_are_none(make_recording):

@@ -205,7 +205,8 @@ class Recording(RunData, abc.ABC):
         By default each field of the records under its name, one row per step, `time` (N + 1,) [s]
         and `control_period` [s].
         """
-        rows = {name: np.asarray(values) for name, values in self.records._asdict().items()}
+        given = self.records._asdict()
+        rows = {name: np.asarray(values) for name, values in given.items() if values is not None}
         return {**rows, "time": self.time, "control_period": np.asarray(self.control_period)}
 
     def figures(self) -> Mapping[str, Callable[[], "Figure"]]:

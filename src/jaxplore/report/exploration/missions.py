@@ -4,15 +4,18 @@ import numpy as np
 
 from jaxplore.report._numbers import finite, finite_mean
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.fleet.data import FleetData
 
 
-def last_target_at(recording: ExplorationData) -> float | None:
+def last_target_at(recording: ExplorationData | FleetData) -> float | None:
     """Return the time at which the last target was seen [s]; None if some were not, or without any.
 
     The record of step k holds what was seen at its beginning, so the time is k control periods.
     """
+    if len(recording.targets) == 0:
+        return None
     is_all = np.asarray(recording.records.targets_seen) >= len(recording.targets)
-    if len(recording.targets) == 0 or not is_all.any():
+    if not is_all.any():
         return None
     return int(is_all.argmax()) * recording.control_period
 

@@ -18,6 +18,7 @@ from jaxplore.report.drawing.colours import (
 from jaxplore.report.drawing.picture import outline_at
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.window import Window
+from jaxplore.report.fleet.data import FleetData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -109,7 +110,7 @@ def _middles(window: Window, around: int = 0) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def add_targets(axes: "Axes", recording: ExplorationData, window: Window) -> None:
+def add_targets(axes: "Axes", recording: ExplorationData | FleetData, window: Window) -> None:
     """Draw the targets: found ones as rings, those that are still to be found as stars."""
     if not len(recording.targets):
         return

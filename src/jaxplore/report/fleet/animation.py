@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
-from jaxplore.report.drawing.colours import FREE, SERIES, UNKNOWN, belief_colours, blend
+from jaxplore.report.drawing.colours import FREE, SERIES, TARGET, UNKNOWN, belief_colours, blend
 from jaxplore.report.drawing.footer import EDGE, Entry, Footer, footer_height
 from jaxplore.report.drawing.palette import (
     HIDDEN_WALL,
@@ -21,7 +21,7 @@ from jaxplore.report.drawing.palette import (
     fit_palette,
 )
 from jaxplore.report.drawing.picture import MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, WIDTH
-from jaxplore.report.drawing.shapes import LEAST_RADIUS, draw_line
+from jaxplore.report.drawing.shapes import LEAST_RADIUS, draw_line, draw_targets
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.fleet.data import FleetData, FleetFrame
 
@@ -92,7 +92,7 @@ def compute_palette(data: FleetData, pictures: Sequence[Image.Image]) -> Image.I
     """Compute the palette that all frames share from some of them, with the robots' colours."""
     lines: list[Colour] = [robot_colour(i) for i in range(min(data.num_robots, len(SERIES)))]
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, TRAIL, LINK]
-    given += lines
+    given += [*lines, *([TARGET] if len(data.targets) else [])]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
     return fit_palette(given, pictures)
 
@@ -156,6 +156,7 @@ def _draw_robots(canvas: Canvas, frame: FleetFrame, draw: ImageDraw.ImageDraw) -
         draw_line(canvas, draw, trail[: frame.step + 1], robot_colour(number), 1.5)
     for i, j in np.argwhere(np.triu(frame.links)):
         draw_line(canvas, draw, frame.positions[[i, j]], LINK, 1.0)
+    draw_targets(canvas, draw, data.targets, frame.is_found, TARGET)
     for number, plan in enumerate(frame.plans):
         draw_line(canvas, draw, plan, robot_colour(number), 3.0)
     bodies = zip(frame.positions, frame.headings, data.radii.tolist(), strict=True)
@@ -180,6 +181,8 @@ def _legend(data: FleetData) -> tuple[Entry, ...]:
         for i in range(min(data.num_robots, MOST_NAMED))
     ]
     link = [Entry("radio", LINK, "line")] if data.num_robots > 1 else []
+    if len(data.targets):
+        link += [Entry("target", TARGET, "star"), Entry("target found", TARGET, "found")]
     return (*robots, *link, Entry("unseen wall", HIDDEN_WALL), Entry("unknown", UNKNOWN))
 
 
@@ -193,5 +196,7 @@ def _draw_footer(
     footer.curve(canvas.time, data.coverage, step, level=data.target_coverage)
     footer.text(EDGE, 38, f"{frame.time:.1f} s")
     footer.text(84, 38, f"{canvas.lengths[step]:.1f} m")
+    if len(data.targets):
+        footer.text(EDGE, 56, f"targets {int(np.sum(frame.is_found))} of {len(data.targets)}")
     footer.scale_bar(canvas.scale / SUPERSAMPLING)
     footer.legend()

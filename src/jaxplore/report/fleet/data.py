@@ -30,6 +30,7 @@ class FleetRecord(NamedTuple):
         is_finite: whether every robot had a rollout of finite cost.
         sent: size of all messages with maps and ways in the step [bytes].
         links: number of pairs of robots that heard each other.
+        targets_seen: number of targets that some robot had seen; None without targets.
     """
 
     state: StateVector
@@ -43,6 +44,7 @@ class FleetRecord(NamedTuple):
     is_finite: Flag
     sent: Scalar
     links: Count
+    targets_seen: Count | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,6 +58,7 @@ class FleetFrame(Frame):
             probability that is the farthest from 1/2.
         plans: (N, T, 2) positions of the nominal trajectories [m]; T = 0 without a plan.
         links: (N, N) which robots hear each other.
+        is_found: (M,) which targets some robot has seen.
     """
 
     positions: np.ndarray
@@ -63,6 +66,7 @@ class FleetFrame(Frame):
     probability: np.ndarray
     plans: np.ndarray
     links: np.ndarray
+    is_found: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
 
     places = ("positions", "plans")
 
@@ -105,6 +109,7 @@ class FleetData(RunData):
         given_up_step: number of steps until it was given up; None if it was not.
         radii: (N,) radii of the robots [m].
         coordination: how the robots divided the places among themselves.
+        targets: (M, 2) positions of the targets [m].
     """
 
     records: FleetRecord
@@ -123,6 +128,7 @@ class FleetData(RunData):
     given_up_step: int | None
     radii: np.ndarray
     coordination: str
+    targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
@@ -130,6 +136,7 @@ class FleetData(RunData):
             "records": move_records(self.records, offset, self.state_names),
             "start": move_states(self.start, offset, self.state_names),
             "origin": move_points(self.origin, offset),
+            "targets": move_points(self.targets, offset),
         }
 
     @property
@@ -156,12 +163,17 @@ class FleetData(RunData):
 
     @property
     def live_curves(self) -> LiveCurves:
-        """The coverage by the map of each robot and by all together."""
+        """The coverage by the map of each robot and by all together, and the share of the targets
+        that were found."""
         # The robots come first, so that their curves have the colours of the picture.
-        names = *(f"robot {number + 1}" for number in range(self.num_robots)), "together"
-        own = np.asarray(self.records.coverages).reshape(-1, self.num_robots)
-        together = np.asarray(self.records.coverage)[:, None]
-        return LiveCurves("coverage", names, np.concatenate([own, together], axis=1).T)
+        names = [*(f"robot {number + 1}" for number in range(self.num_robots)), "together"]
+        rows = [*np.asarray(self.records.coverages).reshape(-1, self.num_robots).T]
+        rows.append(np.asarray(self.records.coverage))
+        if len(self.targets):
+            names.append("targets found")
+            rows.append(np.asarray(self.records.targets_seen) / len(self.targets))
+        title = "coverage and targets found" if len(self.targets) else "coverage"
+        return LiveCurves(title, tuple(names), np.stack(rows))
 
     @property
     def coverage(self) -> np.ndarray:

@@ -1,11 +1,13 @@
 """Metrics of an exploration by a fleet."""
 
 import dataclasses
+import math
 
 import numpy as np
 
 from jaxplore.report._numbers import finite, percent, text
 from jaxplore.report.coverage_levels import LEVELS, describe_levels, reach_levels
+from jaxplore.report.exploration.missions import last_target_at
 from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import episodes
@@ -31,6 +33,9 @@ class FleetMetrics(Metrics):
         minimum_clearance: least distance from a robot's edge to a solid cell or another robot [m].
         exchanged: size of all messages with maps and ways [bytes].
         linked: share of the pairs of robots that heard each other, mean over the steps.
+        num_targets: number of targets.
+        targets_seen: number of targets that some robot saw.
+        last_target_at: time at which the last target was seen [s]; None if some were not.
         least_coverage: coverage of the map of the robot that knows the least at the end.
         mean_effective_sample_size: mean effective sample size.
         coverage_curve: "time" [s], "coverage", "path" [m] of all robots, and the coverage of each
@@ -50,6 +55,9 @@ class FleetMetrics(Metrics):
     minimum_clearance: float | None
     exchanged: float
     linked: float | None
+    num_targets: int
+    targets_seen: int
+    last_target_at: float | None
     least_coverage: float
     mean_effective_sample_size: float | None
     coverage_curve: dict[str, list[float | None]]
@@ -58,6 +66,9 @@ class FleetMetrics(Metrics):
         Column.num_finished(),
         Column.quartiles("to_90", "90 % [s]", number=lambda each: each.time_to["90"]),
         Column.quartiles("to_95", "95 % [s]", number=lambda each: each.time_to["95"]),
+        Column.quartiles(
+            "last_target_at", "last target [s]", applies=lambda spread: spread[0] < math.inf
+        ),
         Column.quartiles("path_length", "path [m]"),
         Column.total("collisions", "collisions"),
         Column.total("contacts", "contacts"),
@@ -79,6 +90,7 @@ class FleetMetrics(Metrics):
             self.duration_row(),
             ("robots", f"{self.num_robots}, coordination: {self.coordination}"),
             ("coverage", f"{percent(self.coverage)}, {describe_levels(self.time_to)}"),
+            *self._target_rows(),
             ("least known", f"{percent(self.least_coverage)} by one robot"),
             ("path", f"{self.path_length:.1f} m: {each}"),
             ("contacts", f"{self.contacts} between robots, {self.collisions} with walls"),
@@ -86,6 +98,13 @@ class FleetMetrics(Metrics):
             ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
             *self.last_rows(),
         ]
+
+    def _target_rows(self) -> list[tuple[str, str]]:
+        if not self.num_targets:
+            return []
+        last = self.last_target_at
+        seen = f"{self.targets_seen} of {self.num_targets} seen"
+        return [("targets", seen if last is None else f"{seen}, the last at {last:.2f} s")]
 
 
 def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics:
@@ -99,6 +118,7 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
     at = {name: None if step is None else step * period for name, step in ended.items()}
     curve = {"time": data.time, "coverage": coverage, "path": path}
     robots = {f"robot {i}": rows for i, rows in enumerate(data.coverages, start=1)}
+    seen = records.targets_seen
     return FleetMetrics(
         **data.common_metrics(finished_at=at["finished"], seed=seed),
         num_robots=data.num_robots,
@@ -114,6 +134,9 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         exchanged=float(np.sum(records.sent, dtype=np.float64)),
         linked=float(np.mean(records.links) / pairs) if pairs and data.num_steps else None,
+        num_targets=len(data.targets),
+        targets_seen=0 if seen is None or not len(seen) else int(seen[-1]),
+        last_target_at=last_target_at(data),
         least_coverage=float(data.coverages[:, -1].min()),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
         coverage_curve=thin_series({**curve, **robots}, period),

@@ -14,6 +14,7 @@ from jaxplore.report.exploration.map_axes import (
     map_inches,
     show_cells,
 )
+from jaxplore.report.exploration.overlays import add_targets
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.fleet.metrics import compute_metrics
@@ -46,11 +47,14 @@ def map_figure(data: FleetData) -> "Figure":
         axes.plot(*placed[-1], marker="s", markersize=8.0, color=style["color"], **marks)
     for marker, name in (("o", "start"), ("s", "end")):
         axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
+    add_targets(axes, data, window)
     add_outline(axes, data, window)
     columns = 4 if width > 5.0 else 2
     figure.legend(loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
     driven = data.lengths[:, -1].sum()
     title = f"{100.0 * data.coverage[-1]:.1f} % covered, {data.time[-1]:.1f} s, {driven:.1f} m"
+    if len(data.targets):
+        title += f", targets {int(data.frames[-1].is_found.sum())} of {len(data.targets)}"
     figure.suptitle(title, fontsize=11)
     return figure
 

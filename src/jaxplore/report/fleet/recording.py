@@ -67,7 +67,7 @@ class FleetRecording(FleetData, Recording):
         Each field of `FleetRecord` under its name, one row per step; `time` (steps + 1,) [s],
         `positions` (N, steps + 1, 2) [m] of each robot, `world` and `belief` (H, W) probabilities,
         `beliefs` (N, H, W) in 256 levels, `reachable` (H, W), `origin`, `resolution`,
-        `control_period`, `start`, `state_names` and `radii` (N,) [m].
+        `control_period`, `start`, `state_names`, `radii` (N,) [m] and `targets` (M, 2) [m].
         """
         return {
             **super().arrays(),
@@ -81,4 +81,5 @@ class FleetRecording(FleetData, Recording):
             "start": self.start,
             "state_names": np.asarray(self.state_names, np.str_),
             "radii": self.radii,
+            "targets": self.targets,
         }

@@ -41,6 +41,11 @@ def check_members(
         )
         if each is not first and not is_same:
             raise ValueError(f"robots[{index}] is in another world; accepted: that of robots[0]")
+        if not np.array_equal(each.targets, first.targets):
+            raise ValueError(
+                f"targets of robots[{index}] differ; accepted: those of robots[0], for which all "
+                "robots look"
+            )
         for name in ("control_period", "steps_per_scan", "steps_per_field"):
             here, there = (np.asarray(getattr(one, name)).item() for one in (each, first))
             if here != there:
@@ -63,7 +68,6 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
         "variation": one.variation,
         "localisation": one.localisation,
         "faults.carried_at": None if one.faults is None else one.faults.carried_at,
-        "targets": one.targets if one.num_targets else None,
     }
     for name, part in parts.items():
         if part is not None:

@@ -85,25 +85,24 @@ class Talk(NamedTuple):
             jnp.zeros((number, 2)),
             jnp.zeros(()),
             jnp.zeros((), jnp.int32),
-            self._measure_coverage(members)[1],
+            self.count_known(members)[1],
         )
 
-    def _measure_coverage(
+    def count_known(
         self, members: Sequence[ExplorationState]
-    ) -> tuple[Scalar, Float[Array, " N"]]:
-        """Return the coverage of all robots together and that of each."""
+    ) -> tuple[Scalar, Float[Array, " N"], Bool[Array, " M"]]:
+        """Return the coverage of all robots together and that of each, and which targets were seen
+        by some robot."""
         rows = self.share.gather(
-            [(each.belief.grid.is_free, each.progress.coverage) for each in members]
+            [(each.belief.grid.is_free, each.progress.coverage, each.is_seen) for each in members]
         )
-        known = functools.reduce(jnp.logical_or, [is_free for is_free, _ in rows])
+        known, is_seen = (
+            functools.reduce(jnp.logical_or, [row[place] for row in rows]) for place in (0, 2)
+        )
         reachable = self.members[0].map_arrays.reachable
         found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
         together = found / self.members[0].num_reachable
-        return together, jnp.stack([each for _, each in rows])
-
-    def coverage(self, members: Sequence[ExplorationState]) -> Scalar:
-        """Return the share of the reachable cells that some robot knows to be free."""
-        return self._measure_coverage(members)[0]
+        return together, jnp.stack([each for _, each, _ in rows]), is_seen
 
     def discs(self, state: FleetState) -> MovingDiscs | None:
         """Return all robots as discs that move; None for a robot alone."""
@@ -193,21 +192,21 @@ class Talk(NamedTuple):
                 plans = told.plans.update(rows(team.plans), heard)
                 after.append(dataclasses.replace(told, plans=plans))
             number = jnp.sum(links, dtype=jnp.int32) // 2
-            return tuple(after), *self._measure_coverage(state.members), number
+            return tuple(after), *self.count_known(state.members), number
 
         obstacles = tuple(each.belief.obstacles for each in state.members)
-        known, coverage, coverages, links = jax.lax.cond(
+        known, coverage, coverages, is_seen, links = jax.lax.cond(
             moment.step % self.members[0].steps_per_scan == 0,
             tell,
             lambda *same: same,
-            *(obstacles, state.coverage, team.coverages, team.links),
+            *(obstacles, state.coverage, team.coverages, state.is_seen, team.links),
         )
         members = tuple(
             each.with_belief(dataclasses.replace(each.belief, obstacles=one))
             for each, one in zip(state.members, known, strict=True)
         )
         team = team._replace(links=links, coverages=coverages)
-        return state._replace(members=members, coverage=coverage, team=team)
+        return state._replace(members=members, coverage=coverage, is_seen=is_seen, team=team)
 
     def _may_meet(
         self, places: Float[Array, "N 2"], plans: Float[Array, "N S 2"]

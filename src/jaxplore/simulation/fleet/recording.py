@@ -47,6 +47,7 @@ def fleet_frame(
         "probability": jnp.round(255.0 * merge_known(maps)).astype(jnp.uint8),
         "plans": plans,
         "links": jnp.zeros((number, number), bool) if links is None else links,
+        "is_found": state.is_seen,
     }
 
 
@@ -85,4 +86,5 @@ def make_recording(
         given_up_step=run.num_steps if is_given_up else None,
         radii=np.array([extent(each.robot.footprint) for each in scenarios]),
         coordination=coordination,
+        targets=np.asarray(scenarios[0].targets),
     )

@@ -61,7 +61,8 @@ class Fleet(Scenario):
       everybody hears everybody.
 
     The exploration is finished when the share of the reachable cells that some robot knows to be
-    free is the target coverage, and given up as that of one robot is. Numbers that concern all, the
+    free is the target coverage, and given up as that of one robot is. With targets it is finished
+    when each one was seen by some robot, and not given up. Numbers that concern all, the
     rates, the target coverage, the faults, are those of the first robot's exploration.
 
     A fleet of one robot runs as that robot alone does, to the bit. The order of the robots does not
@@ -69,8 +70,8 @@ class Fleet(Scenario):
 
     Args:
         robots: exploration of each robot, in one world; or that of one robot, for a fleet of equal
-            ones. Without a target coverage they have 0.99. They have no goal, targets, idleness
-            map, anomalies, detector, chassis or guard.
+            ones. Without a target coverage they have 0.99. They have no goal, idleness map,
+            anomalies, detector, chassis or guard.
         starts: (N, 3) start pose (x, y, yaw) of each robot [m, m, rad], at rest; those of the
             explorations when absent.
         radio: who hears whom; `Radio()` when absent.
@@ -215,14 +216,16 @@ class Fleet(Scenario):
         begun = own.each(begin, self.share.select(starts))
         for index, alone in zip(self.share.mine, begun, strict=True):
             members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
-        coverage, team = members[0].progress.coverage, None
+        coverage, is_seen, team = members[0].progress.coverage, members[0].is_seen, None
         if self.num_robots > 1:
-            coverage, team = self._talk.coverage(members), self._talk.begin(members)
+            coverage, _, is_seen = self._talk.count_known(members)
+            team = self._talk.begin(members)
         state = FleetState(
             self.start,
             tuple(members),
             coverage,
             Gain(coverage, jnp.zeros(())),
+            is_seen,
             jnp.zeros((), jnp.int32),
             team,
         )
@@ -244,7 +247,8 @@ class Fleet(Scenario):
         )
         known = state._replace(members=members)
         if known.team is None:
-            known = known._replace(coverage=members[0].progress.coverage)
+            alone = members[0]
+            known = known._replace(coverage=alone.progress.coverage, is_seen=alone.is_seen)
         else:
             known = self._talk.tell_when_due(known, known.team, moment)
         known = known._replace(gain=state.gain.update(known.coverage, self.control_period))
@@ -293,6 +297,7 @@ class Fleet(Scenario):
             is_finite=info.is_finite,
             sent=sent,
             links=links,
+            targets_seen=self._count_seen(state),
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -303,12 +308,20 @@ class Fleet(Scenario):
         return ~(is_over | (self.is_finished(state) & (hover == 0)))
 
     def is_finished(self, state: FleetState) -> Flag:
-        """Check whether the robots together know the target coverage."""
+        """Check whether the robots together know the target coverage, or have seen all targets."""
+        if state.is_seen.size:
+            return state.is_seen.all()
         return state.coverage >= self.members[0].target_coverage
 
     def is_given_up(self, state: FleetState) -> Flag:
         """Check whether the coverage has not risen for long, see `ExplorationScenario`."""
+        if state.is_seen.size:
+            return jnp.array(False)
         return (state.finished == 0) & (state.gain.since >= self.members[0].give_up_after)
+
+    def _count_seen(self, state: FleetState) -> Count | None:
+        """Return the number of targets that some robot has seen; None without targets."""
+        return jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None
 
     def progress(self, state: FleetState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
