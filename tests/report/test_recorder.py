@@ -307,7 +307,14 @@ def test_a_volume_is_recorded_with_its_voxels(recording, controller, tmp_path: P
 def test_a_fleet_is_recorded_with_each_robot_under_its_name(
     fleet_run, controller, tmp_path: Path
 ) -> None:
-    run, frames, steps = fleet_run, fleet_run.frames, fleet_run.num_steps
+    frames = tuple(
+        dataclasses.replace(each, is_found=np.array([each.step > 0, False]))
+        for each in fleet_run.frames
+    )
+    targets = np.array([[0.5, 0.2], [1.0, 0.7]])
+    seen = fleet_run.records._replace(targets_seen=np.ones(fleet_run.num_steps, np.int32))
+    run = dataclasses.replace(fleet_run, frames=frames, targets=targets, records=seen)
+    steps = run.num_steps
     recorder = record(run, tmp_path / "run.mcap", controller)
     assert recorder.failure is None
     messages = read(tmp_path / "run.mcap")
@@ -352,6 +359,10 @@ def test_a_fleet_is_recorded_with_each_robot_under_its_name(
         for message in of(messages, "/objects")
     ]
     assert [len(lines) for lines in linked] == [0, 1, 1]
+    marks = {each.id: each for each in of(messages, "/objects")[-1].content.entities}["targets"]
+    places = [(each.pose.position.x, each.pose.position.y) for each in marks.cylinders]
+    np.testing.assert_allclose(places, targets)
+    assert marks.cylinders[0].color != marks.cylinders[1].color
     together = of(messages, "/belief")[-1].content
     shown = grid_values(together, "probability", np.uint8)
     np.testing.assert_array_equal(shown, frames[-1].probability)

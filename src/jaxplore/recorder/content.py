@@ -9,8 +9,8 @@ from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.recorder import messages
 from jaxplore.recorder.channels import Channels
-from jaxplore.report.drawing.colours import belief_colours
-from jaxplore.report.drawing.palette import FAINT, PLAN, ROBOT, STRONG, Colour
+from jaxplore.report.drawing.colours import TARGET, belief_colours
+from jaxplore.report.drawing.palette import FAINT, PALE, PLAN, ROBOT, STRONG, Colour
 from jaxplore.report.drawing.rollout_costs import WEIGHT, cost_names, costs_of_rollouts
 from jaxplore.report.drawing.shapes import STRONG_SHARE
 
@@ -18,6 +18,8 @@ MAP, BASE = "map", "base_link"
 """Frames of the world and of the robot, with ROS's names."""
 SLOW_SECONDS = 0.5
 """Least time between two maps of a recording [s]."""
+MARK = 0.25
+"""Radius of the mark of a goal or a target [m]."""
 MOST_ROLLOUTS, MOST_POINTS = 20, 11
 """Greatest number of rollouts in a recording, and of points of each."""
 
@@ -156,6 +158,14 @@ class Content:
             costs = {name: costs_of_rollouts(frame, name)[shown].tolist() for name in names}
             weights = {WEIGHT: frame.weights[shown].tolist()}
             self.channels.log_lists("/rollout_costs", weights | costs, frame.time)
+
+    def mark_targets(self, frame: Any) -> tuple[str, dict[str, Any]]:
+        """Return the marks of the targets, pale where they were found."""
+        marks = [
+            messages.disc(place, MARK, PALE if is_found else TARGET)
+            for place, is_found in zip(self.recording.targets, frame.is_found, strict=True)
+        ]
+        return MAP, {"cylinders": marks}
 
     def body(self) -> tuple[str, dict[str, Any]]:
         """Return the robot as an entity of a scene."""

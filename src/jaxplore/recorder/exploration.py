@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from jaxplore.recorder import messages
-from jaxplore.recorder.content import BASE, MAP, Content
-from jaxplore.report.drawing.colours import MOVER, TARGET
-from jaxplore.report.drawing.palette import HEAT, MAX_HEAT, PALE, REFERENCE
+from jaxplore.recorder.content import BASE, MAP, MARK, Content
+from jaxplore.report.drawing.colours import MOVER
+from jaxplore.report.drawing.palette import HEAT, MAX_HEAT, REFERENCE
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.objects import find_known_objects
 
@@ -17,8 +17,6 @@ FREE_LEVEL = 64
 """Level of a probability, of 255, below which a cell is free."""
 BRIGHTEST_PERCENT = 98.0
 """Share of the nodes that are darker than the brightest colour of the information [%]."""
-MARK = 0.25
-"""Radius of the mark of a goal or a target [m]."""
 
 
 class ExplorationContent(Content):
@@ -56,10 +54,6 @@ class ExplorationContent(Content):
             for middle, radius in zip(frame.movers, run.mover_radii, strict=True)
             if np.isfinite(middle).all()
         ]
-        targets = [
-            messages.disc(place, MARK, PALE if is_found else TARGET)
-            for place, is_found in zip(run.targets, frame.is_found, strict=True)
-        ]
         objects = [
             messages.disc(place, MARK, colour)
             for place, colour in find_known_objects(run.objects, frame)
@@ -68,7 +62,7 @@ class ExplorationContent(Content):
         entities: dict[str, Any] = {
             "robot": self.body(),
             "moving obstacles": (MAP, {"cylinders": movers}),
-            "targets": (MAP, {"cylinders": targets}),
+            "targets": self.mark_targets(frame),
             "goal": (MAP, {"cylinders": goal}),
             "recognised": (MAP, {"cylinders": objects}),
         }

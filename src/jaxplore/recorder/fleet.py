@@ -75,6 +75,8 @@ class FleetContent(Content):
         pairs = np.argwhere(np.triu(frame.links, 1))
         lines = [messages.line(frame.positions[pair], LINK, 1.0) for pair in pairs]
         links: dict[str, Any] = {"links": (MAP, {"lines": lines})}
+        if len(self.recording.targets):
+            links["targets"] = self.mark_targets(frame)
         self.log("/objects", messages.scene(stamp, {**entities, **links}), frame.time)
 
     def write_maps(self, frame: FleetFrame) -> None:
