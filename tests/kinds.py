@@ -24,9 +24,6 @@ QUADROTOR = jx.Quadrotor()
 CAMERA = jx.DepthCamera(32, 24)
 
 
-NO_VOXELS = jx.Faults(walls=np.zeros((12, 20, 40), bool))
-
-
 def room(has_wall: bool = True, column: int = 15) -> jx.VoxelGrid:
     """Return a room of 8 m by 4 m by 2.4 m with half a wall across it in a column of voxels."""
     solid = np.zeros((12, 20, 40), bool)
@@ -38,8 +35,8 @@ def room(has_wall: bool = True, column: int = 15) -> jx.VoxelGrid:
 def volume(
     has_wall: bool = True, start: tuple[float, ...] = (1.2, 2.0, 1.2, 0.3), **more: Any
 ) -> jx.VolumeScenario:
-    """Return the exploration of the room. Walls that appear make no other program of it."""
-    more = {"target_coverage": 0.95, "faults": NO_VOXELS, **more}
+    """Return the exploration of the room."""
+    more = {"target_coverage": 0.95, **more}
     return jx.VolumeScenario(room(has_wall), QUADROTOR, CAMERA, start, **more)
 
 
