@@ -126,6 +126,8 @@ def _run(given: argparse.Namespace, console: Console) -> None:
     out = given.out
     if out is None and given.only is None and not given.smoke:
         out = history.default_path(results)
+    if out is not None:
+        history.check_writable(out)
     for name, section in SECTIONS.items():
         if given.only is not None and name not in given.only:
             continue

@@ -19,13 +19,16 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.tables import Rows
-from jaxplore._files import replace_files
+from jaxplore._files import JSON_LIMIT, parse_json, read_bytes, replace_files
+from jaxplore._text import error_reason, printable_path
 
 FOLDER = Path(__file__).parent / "history"
 BOUND = 1.25
 """Least ratio of two times that counts."""
 DEPTH = 3
 """A file has a line for each row of a table of a section."""
+FIELDS = {"commit", "date", "machine", "sections"}
+"""Entries that results must have."""
 Results = dict[str, Any]
 
 
@@ -59,9 +62,39 @@ def save(results: Results, path: Path) -> None:
     replace_files([(path, (_text(_rounded(results), 0) + "\n").encode())])
 
 
+def check_writable(path: Path) -> None:
+    """Check that results can be written to a file, before they are measured.
+
+    Raises:
+        ValueError: a folder that cannot be made or written to, or a folder in place of a file.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        reason = "a folder has this name" if path.is_dir() else ""
+    except OSError as error:
+        reason = error_reason(error)
+    if not reason and not os.access(path.parent, os.W_OK):
+        reason = "its folder cannot be written to"
+    if reason:
+        raise ValueError(f"{printable_path(path)} cannot be written: {reason}")
+
+
 def load(path: Path) -> Results:
-    """Read results."""
-    results: Results = json.loads(path.read_text(encoding="utf-8"))
+    """Read results.
+
+    Raises:
+        ValueError: a file that cannot be read or has no results.
+    """
+    data = read_bytes(path, "results of benchmarks", JSON_LIMIT)
+    try:
+        results: Results = parse_json(data)
+    except ValueError as error:
+        raise ValueError(f"{printable_path(path)}: {error}") from None
+    if not isinstance(results, dict) or not set(results) >= FIELDS:
+        accepted = f"an object with {', '.join(sorted(FIELDS))}"
+        raise ValueError(
+            f"{printable_path(path)} has no results of benchmarks; accepted: {accepted}"
+        )
     return results
 
 

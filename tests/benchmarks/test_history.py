@@ -1,5 +1,6 @@
 """Results are written whole, compared beyond noise, and shown on the page of performance."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,35 @@ def test_files_are_read_as_written_the_newest_of_a_machine_first(tmp_path: Path)
     assert second["sections"]["control"]["growth"][0]["repeats"] == [1.0, 0.123457]
     # A line for a row, so that changes can be read.
     assert '   {"": "a", ' in (tmp_path / "0.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "none.json is not there or not a file"),
+        ("{", "none.json: "),
+        ("[]", "none.json has no results of benchmarks; accepted: an object with commit, date, ma"),
+        ('{"date": "today"}', "none.json has no results of benchmarks; accepted: an object with"),
+    ],
+)
+def test_files_without_results_are_refused_with_one_line(
+    tmp_path: Path, text: str | None, message: str
+) -> None:
+    file = tmp_path / "none.json"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ValueError, match=re.escape(message)) as found:
+        history.load(file)
+    assert "\n" not in str(found.value)
+
+
+def test_results_without_a_place_are_refused_before_they_are_measured(tmp_path: Path) -> None:
+    history.check_writable(tmp_path / "new" / "results.json")
+    assert (tmp_path / "new").is_dir()
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "new", tmp_path / "file" / "results.json"):
+        with pytest.raises(ValueError, match="cannot be written"):
+            history.check_writable(place)
 
 
 def test_results_that_are_no_json_leave_the_former_file(tmp_path: Path) -> None:
