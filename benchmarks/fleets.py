@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.history import results_file
 from benchmarks.setting import available_maps
 from benchmarks.tables import table
 from benchmarks.timing import TimedLoop
@@ -190,7 +191,7 @@ def _choice() -> _Choice:
     )
     parser.add_argument("--sizes", nargs="*", type=int, default=list(SIZES))
     parser.add_argument("--coordinations", nargs="*", default=list(COORDINATIONS))
-    parser.add_argument("--out", type=Path, help="JSON file of all rows and the summary")
+    parser.add_argument("--out", type=results_file, help="JSON file of all rows and the summary")
     parser.add_argument("--step", action="store_true", help="only the cost of a control step")
     return _Choice(**vars(parser.parse_args()))
 

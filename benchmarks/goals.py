@@ -19,6 +19,7 @@ import numpy as np
 from jax import Array
 
 import jaxplore as jx
+from benchmarks.history import results_file
 from benchmarks.tables import Rows, markdown
 from jaxplore.belief import Belief
 from jaxplore.belief.car import car_motion
@@ -257,7 +258,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5, help="drives on each map")
     parser.add_argument("--scenes", type=int, default=20, help="number of maps")
     parser.add_argument("--heading", action="store_true", help="goals have a heading")
-    parser.add_argument("--out", type=Path, help="JSON file for the drives")
+    parser.add_argument("--out", type=results_file, help="JSON file for the drives")
     given = parser.parse_args()
     results = measure(given.robots, given.seeds, given.scenes, has_heading=given.heading)
     if given.out is not None:

@@ -8,6 +8,7 @@ shared machine does between two runs. The median of all ratios is told beside it
 from 1, the machine as a whole was faster or slower.
 """
 
+import argparse
 import json
 import os
 import platform
@@ -77,6 +78,16 @@ def check_writable(path: Path) -> None:
         reason = "its folder cannot be written to"
     if reason:
         raise ValueError(f"{printable_path(path)} cannot be written: {reason}")
+
+
+def results_file(name: str) -> Path:
+    """Return the path of a file for results; the type of an argument of `argparse`."""
+    path = Path(name)
+    try:
+        check_writable(path)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return path
 
 
 def load(path: Path) -> Results:

@@ -3,12 +3,12 @@
 import argparse
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 
+from benchmarks.history import results_file
 from benchmarks.setting import available_maps
 from benchmarks.tables import Rows, table
 from benchmarks.timing import TimedLoop, timed
@@ -195,7 +195,7 @@ def main() -> None:
         "--uncertainty-weight", type=float, nargs="*", default=[], help="pay so much for it"
     )
     parser.add_argument("--times", action="store_true", help="only the time of the parts")
-    parser.add_argument("--out", type=Path, help="JSON file of the rows")
+    parser.add_argument("--out", type=results_file, help="JSON file of the rows")
     choice, console = parser.parse_args(), Console(width=180)
     if choice.times:
         rows = measure(FULL)["parts"]

@@ -21,6 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
+from benchmarks.history import results_file
 from benchmarks.setting import MAPS
 from benchmarks.tables import table
 from jaxplore.build.tasks import build, make_settings
@@ -236,7 +237,7 @@ def main() -> None:
     parser.add_argument("--study", choices=STUDIES, help="this one only [default: all]")
     parser.add_argument("--seeds", type=int, default=20, help="of each [default: 20; cross: 5]")
     parser.add_argument("--part", default="0/1", help="this process's share [default: 0/1]")
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/portfolio.jsonl"))
+    parser.add_argument("--out", type=results_file, default=Path("benchmarks/portfolio.jsonl"))
     parser.add_argument("--picture", type=Path, help="draw what is in the file")
     arguments = parser.parse_args()
     part, of = (int(number) for number in arguments.part.split("/"))

@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
+from benchmarks.history import results_file
 from benchmarks.tables import table
 from jaxplore import Lidar, OccupancyGrid, Perception
 from jaxplore._files import replace_files
@@ -250,7 +251,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             default=value,
             help=f"{name} of our rule [{value:g}]",
         )
-    parser.add_argument("--out", type=Path, help="JSON file with all numbers")
+    parser.add_argument("--out", type=results_file, help="JSON file with all numbers")
     options = parser.parse_args(arguments)
     console = Console(width=140)
     try:

@@ -1,5 +1,6 @@
 """Results are written whole, compared beyond noise, and shown on the page of performance."""
 
+import argparse
 import re
 from pathlib import Path
 from typing import Any
@@ -79,12 +80,13 @@ def test_files_without_results_are_refused_with_one_line(
 
 
 def test_results_without_a_place_are_refused_before_they_are_measured(tmp_path: Path) -> None:
-    history.check_writable(tmp_path / "new" / "results.json")
+    wanted = tmp_path / "new" / "results.json"
+    assert history.results_file(str(wanted)) == wanted
     assert (tmp_path / "new").is_dir()
     (tmp_path / "file").write_text("")
     for place in (tmp_path / "new", tmp_path / "file" / "results.json"):
-        with pytest.raises(ValueError, match="cannot be written"):
-            history.check_writable(place)
+        with pytest.raises(argparse.ArgumentTypeError, match="cannot be written"):
+            history.results_file(str(place))
 
 
 def test_results_that_are_no_json_leave_the_former_file(tmp_path: Path) -> None:
