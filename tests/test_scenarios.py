@@ -17,6 +17,7 @@ from PIL import Image
 import jaxplore as jx
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
+from jaxplore.parts import AnomalyTest, IdlenessMap
 from jaxplore.settings.exploration import SCENARIOS, is_scenario_file, read_settings
 from jaxplore.settings.exploration import scenario_path as path_of
 from jaxplore.simulation.loop import initial_loop_state, moment_at
@@ -73,13 +74,13 @@ def test_the_warehouse_is_unknown_and_the_plan_of_the_perimeter_known(made) -> N
         is_known[low:high, left:right] = False
     np.testing.assert_array_equal(prior[is_known], truth[is_known])
     assert perimeter.planted.kinds.tolist() == [1, 2, 3]
-    assert perimeter.perception.anomalies is not None
-    assert warehouse.planted is warehouse.perception.anomalies is None
+    assert perimeter.perception.part(AnomalyTest) is not None
+    assert warehouse.planted is warehouse.perception.part(AnomalyTest) is None
     assert float(warehouse.target_coverage) == pytest.approx(0.95)
     (lidar,) = warehouse.sensors
     assert lidar.field_of_view == pytest.approx(1.5 * math.pi)
-    assert warehouse.perception.watch is None
-    assert float(perimeter.perception.watch.memory) == 60.0
+    assert warehouse.perception.part(IdlenessMap) is None
+    assert float(perimeter.perception.part(IdlenessMap).memory) == 60.0
     assert float(perimeter.target_coverage) > 1.0
 
 
@@ -88,7 +89,7 @@ def test_a_camera_leads_in_the_search(made) -> None:
     assert [type(sensor) for sensor in search.sensors] == [jx.Camera, jx.Lidar]
     assert isinstance(search.robot, jx.Ackermann)
     assert isinstance(search.robot.footprint, jx.Rectangle)
-    assert search.perception.watch.memory is None
+    assert search.perception.part(IdlenessMap).memory is None
     # Its ground is known, and some of it closed; all targets are on ground that can be driven on.
     closed = ~np.asarray(search.ground.is_traversable)
     assert 0.01 < closed.mean() < 0.5

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from jaxplore import localisation as localisation
     from jaxplore import maps as maps
     from jaxplore import parameters as parameters
+    from jaxplore import parts as parts
     from jaxplore import planning as planning
     from jaxplore import recorder as recorder
     from jaxplore import report as report
@@ -206,6 +207,7 @@ _PACKAGES = {
         "three_zones",
     ],
     "parameters": ["find_parameter", "get_parameters", "set_parameters"],
+    "parts": [],
     "planning": [
         "FieldNumbers",
         "Flight",

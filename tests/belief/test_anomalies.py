@@ -12,12 +12,13 @@ import pytest
 from scipy.stats import norm
 
 from jaxplore import Camera, InverseSensorModel, Lidar, OccupancyGrid, Perception
-from jaxplore.belief import AnomalyTest, IdlenessMap
-from jaxplore.belief.anomalies import Anomalies
-from jaxplore.belief.anomaly_reports import APPEARED, GONE, MAX_REPORTS, PERSON, Reports
+from jaxplore.belief import Observation
 from jaxplore.geometry.rays import RayCells
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps import Ground
+from jaxplore.parts import AnomalyTest, IdlenessMap
+from jaxplore.parts.anomalies import Anomalies
+from jaxplore.parts.anomaly_reports import APPEARED, GONE, MAX_REPORTS, PERSON, Reports
 from jaxplore.sensing.change_evidence import BeamModel, beam_evidence
 
 SHAPE, RESOLUTION = (40, 60), 0.1  # 6 m x 4 m
@@ -161,7 +162,8 @@ def watched(test, truth, known, poses, person, key) -> Anomalies:
         scan = SENSOR.scan(truth, pose, key=now, movers=person[None])
         seen = SENSOR.sight(known, scan, pose).is_seen
         time = 0.1 * index.astype(jnp.float32)
-        return test.update(state, SENSOR, known, scan, seen, pose, time), None
+        observation = Observation(SENSOR, known, scan, seen, pose, jnp.zeros(()), time)
+        return test.observe(state, observation), None
 
     return jax.lax.scan(step, test.init(known), (jnp.arange(len(poses)), poses))[0]
 
@@ -296,7 +298,7 @@ def look(state: Anomalies, pose, time) -> Anomalies:
     key = jax.random.fold_in(jax.random.key(0), (10.0 * time).astype(jnp.int32))
     scan = SENSOR.scan(hall(), pose, key=key)
     seen = SENSOR.sight(hall(), scan, pose).is_seen
-    return TEST.update(state, SENSOR, hall(), scan, seen, pose, time)
+    return TEST.observe(state, Observation(SENSOR, hall(), scan, seen, pose, jnp.zeros(()), time))
 
 
 def test_a_suspicion_without_confirmation_is_dropped() -> None:
@@ -340,15 +342,15 @@ def test_information_leads_to_where_a_second_look_is_possible() -> None:
     known = hall((slice(2, 30), slice(28, 32)))
     sensor, model = FieldSensor(SENSOR, RESOLUTION, 8, 2), InverseSensorModel.line_of_sight()
     field = eqx.filter_jit(sensor.field)(known, model, np.ones(SHAPE, np.float32))
-    state, attended = TEST.init(known), eqx.filter_jit(TEST.add_attention)
-    same = attended(state, field, known)
+    state, attended = TEST.init(known), eqx.filter_jit(TEST.add_information)
+    same = attended(state, field, known, SENSOR)
     np.testing.assert_array_equal(same.cumulative, field.cumulative)
     place, pose = jnp.array([4.5, 1.0]), jnp.array([4.5, 3.5, 0.0])
     reports = state.reports.open_suspicion(
         jnp.array(True), place, jnp.int32(GONE), jnp.ones(()), pose
     )
     state = dataclasses.replace(state, reports=reports)
-    led = attended(state, field, known)
+    led = attended(state, field, known, SENSOR)
     rows, columns = np.mgrid[: led.total.shape[0], : led.total.shape[1]]
     x, y = 0.2 * columns + 0.15, 0.2 * rows + 0.15
     raised = np.asarray(led.total) > 0.5 * float(field.total.max())
@@ -369,9 +371,11 @@ def test_what_a_test_does_not_accept() -> None:
 
 
 def test_a_perception_needs_a_watch_level_ground_and_a_lidar() -> None:
-    with pytest.raises(ValueError, match="watch is None"):
-        Perception(SENSOR, RESOLUTION, 0.2, anomalies=TEST)
-    more = {"watch": IdlenessMap(60.0), "anomalies": TEST}
+    with pytest.raises(ValueError, match="parts has no 'watch' before 'anomalies'; accepted: both"):
+        Perception(SENSOR, RESOLUTION, 0.2, parts=[TEST, IdlenessMap(60.0)])
+    with pytest.raises(ValueError, match=r"parts\[1\] is a second 'watch'; accepted: one part"):
+        Perception(SENSOR, RESOLUTION, 0.2, parts=[IdlenessMap(60.0), IdlenessMap()])
+    more = {"parts": [IdlenessMap(60.0), TEST]}
     with pytest.raises(ValueError, match="sensors begin with a Camera"):
         Perception(Camera(8, 4.0, math.radians(60.0)), RESOLUTION, 0.2, **more)
     level = Ground(np.zeros(SHAPE), RESOLUTION)

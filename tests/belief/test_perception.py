@@ -18,10 +18,10 @@ from jaxplore import (
     Perception,
     State,
 )
-from jaxplore.belief import IdlenessMap
 from jaxplore.belief.dwell import add_dwell, with_given_up
 from jaxplore.maps import Ground
 from jaxplore.maps.frame import GridFrame
+from jaxplore.parts import IdlenessMap
 
 pytestmark = pytest.mark.long
 
@@ -450,7 +450,13 @@ FLAT = Ground(np.zeros((30, 60)), 0.1)
 
 def two(watch: IdlenessMap | None = None, ground: Ground | None = FLAT) -> Perception:
     return Perception(
-        [CAMERA, LIDAR], 0.1, 0.2, num_directions=8, node_spacing=0.2, watch=watch, ground=ground
+        [CAMERA, LIDAR],
+        0.1,
+        0.2,
+        num_directions=8,
+        node_spacing=0.2,
+        parts=[] if watch is None else [watch],
+        ground=ground,
     )
 
 
@@ -493,8 +499,8 @@ def test_the_map_is_that_of_one_sensor_after_the_other(looked) -> None:
 
 def test_only_the_first_sensor_keeps_watch(looked) -> None:
     before, _, after = looked
-    assert np.isinf(before.idleness).all()
-    idleness = np.asarray(after.idleness)
+    assert np.isinf(before.parts["watch"]).all()
+    idleness = np.asarray(after.parts["watch"])
     rows, columns = np.mgrid[:30, :60]
     x, y = 0.1 * columns + 0.05 - 2.5, 0.1 * rows + 0.05 - 1.5
     away, bearing = np.hypot(x, y), np.abs(np.arctan2(y, x))
@@ -509,8 +515,8 @@ def test_what_is_not_seen_again_grows_older_by_the_time_given(looked) -> None:
     _, scans, after = looked
     perception = two(IdlenessMap(10.0))
     away = jnp.asarray([2.5, 1.5, math.pi])
-    later = np.asarray(observe(perception, after, scans, away, jnp.float32(0.75)).idleness)
-    seen = np.asarray(after.idleness) == 0.0
+    later = np.asarray(observe(perception, after, scans, away, jnp.float32(0.75)).parts["watch"])
+    seen = np.asarray(after.parts["watch"]) == 0.0
     rows, columns = np.nonzero(seen & (np.mgrid[:30, :60][1] > 26))
     assert len(rows) > 100
     np.testing.assert_allclose(later[rows, columns], 0.75)
@@ -522,16 +528,16 @@ def test_what_a_look_is_worth_again_draws_the_robot() -> None:
     belief = init(perception, OccupancyGrid(room(), 0.1), POSE)
     idleness = jnp.zeros((30, 60)).at[:, 45:].set(100.0)
     for one, drawn in ((idleness, True), (idleness[:, ::-1], False)):
-        belief = eqx.tree_at(lambda some: some.idleness, belief, one)
+        belief = eqx.tree_at(lambda some: some.parts["watch"], belief, one)
         after = update_fields(perception, belief, POSE, jnp.asarray(0.2))
         left, right = (float(after.guidance(jnp.asarray([x, 1.5]))) for x in (2.0, 3.0))
         assert (right < left) == drawn
         assert float(after.information.total.max()) > 3.0
-        np.testing.assert_array_equal(after.idleness, one)
-    calm = eqx.tree_at(lambda some: some.idleness, belief, jnp.zeros((30, 60)))
+        np.testing.assert_array_equal(after.parts["watch"], one)
+    calm = eqx.tree_at(lambda some: some.parts["watch"], belief, jnp.zeros((30, 60)))
     after = update_fields(perception, calm, POSE, jnp.asarray(0.2))
     alone = init(plain, OccupancyGrid(room(), 0.1), POSE)
-    assert alone.idleness is None
+    assert not alone.parts
     np.testing.assert_allclose(after.information.total, alone.information.total, atol=1e-5)
 
 

@@ -4,14 +4,15 @@ import dataclasses
 import math
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import OccupancyGrid
-from jaxplore.belief import ObjectClasses, Recognition
+from jaxplore import Lidar, OccupancyGrid
 from jaxplore.information.field import InformationField
+from jaxplore.parts import Look, ObjectClasses, Recognition
 from jaxplore.sensing import Detector
 from jaxplore.sensing.detector import Detections
 
@@ -22,7 +23,7 @@ DETECTOR = Detector(CLASSES, CONFUSION, recall=RECALL, reach=REACH)
 PRIOR = (0.2, 0.5, 0.3)
 RECOGNITION = Recognition(DETECTOR, prior=PRIOR, certainty=0.9, baseline=0.5, weight=20.0)
 MISS = 3
-informed = jax.jit(Recognition.add_information, static_argnums=4)
+informed = eqx.filter_jit(Recognition.add_information)
 
 
 def likelihood(distance: float) -> np.ndarray:
@@ -101,7 +102,7 @@ def test_the_entropy_is_that_of_the_enumeration(looks) -> None:
 
 # One look after the other
 
-update = jax.jit(Recognition.update)
+update = jax.jit(Recognition.look)
 PLACES = np.float32([[3.0, 0.0], [0.0, 2.0]])
 
 
@@ -109,11 +110,11 @@ def looked(state: ObjectClasses, labels, position, time, is_viewed=(True, True))
     position = np.float32(position)
     away = np.hypot(*(PLACES - position).T).astype(np.float32)
     seen = Detections(np.int32(labels), np.array(is_viewed), away)
-    return update(RECOGNITION, state, seen, PLACES, position, np.float32(time))
+    return update(RECOGNITION, state, Look(seen, PLACES, position), np.float32(time))
 
 
 def test_an_object_is_reported_when_its_class_is_certain_and_not_before() -> None:
-    state, wanted = RECOGNITION.init(2), np.array([PRIOR, PRIOR])
+    state, wanted = RECOGNITION.init_slots(2), np.array([PRIOR, PRIOR])
     # The first is detected at the second look; the miss before says nothing of it.
     rows = ((MISS, 1), (0, 1), (0, MISS), (0, 1), (0, 1))
     first = np.full((2, 3), np.inf)
@@ -136,7 +137,7 @@ def test_an_object_is_reported_when_its_class_is_certain_and_not_before() -> Non
 
 
 def test_looks_from_the_same_place_or_without_a_view_do_not_count() -> None:
-    state = looked(RECOGNITION.init(2), (0, 1), (0.0, 0.0), 0.0)
+    state = looked(RECOGNITION.init_slots(2), (0, 1), (0.0, 0.0), 0.0)
     near = looked(state, (0, 1), (0.3, 0.3), 1.0)
     blind = looked(state, (0, 1), (2.0, 0.3), 1.0, (False, False))
     for same in (near, blind):
@@ -183,7 +184,9 @@ def hall() -> Informed:
     )
     # The last one was never detected.
     objects = dataclasses.replace(objects, detected_at=jnp.array([0.0, 0.0, 0.0, jnp.inf]))
-    return Informed(grid, plain, objects, informed(RECOGNITION, objects, plain, grid, 3.0))
+    return Informed(
+        grid, plain, objects, informed(RECOGNITION, objects, plain, grid, Lidar(8, 3.0))
+    )
 
 
 def wall_share(cells: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
@@ -198,7 +201,7 @@ def test_the_field_adds_the_information_of_a_look_to_the_sector_of_each_object(
     hall, max_range, least
 ) -> None:
     # With the short range only a window of the field changes.
-    field = informed(RECOGNITION, hall.objects, hall.plain, hall.grid, max_range)
+    field = informed(RECOGNITION, hall.objects, hall.plain, hall.grid, Lidar(8, max_range))
     added = np.asarray(field.sectors) - np.asarray(hall.plain.sectors)
     cells = np.asarray(hall.grid.probability)
     to_grid = hall.grid.frame.to_grid

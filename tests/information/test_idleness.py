@@ -12,12 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
-from jaxplore.belief import IdlenessMap
 from jaxplore.information import InformationField
 from jaxplore.information.beam_table import BeamTable
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.information.gain import IdealSensor
+from jaxplore.parts import IdlenessMap
 
+SMALL = OccupancyGrid(np.full((2, 3), 0.5), 1.0)
 LONG = hnp.arrays(np.float32, (2, 3), elements=st.floats(0, 1e6, width=32))
 interest = eqx.filter_jit(lambda watch, idleness: watch.interest(idleness))
 
@@ -48,7 +49,7 @@ def test_the_longer_unseen_the_more_up_to_one_bit(idleness, memory: float, weigh
 @pytest.mark.parametrize("memory", [None, 0.5, 60.0])
 def test_what_was_never_seen_is_worth_one_bit_and_what_is_seen_nothing(memory) -> None:
     watch = IdlenessMap(memory, 2.0)
-    never = watch.init((2, 3))
+    never = watch.init(SMALL)
     assert never.shape == (2, 3)
     assert np.isinf(never).all()
     np.testing.assert_allclose(interest(watch, never), 2.0 * math.log(2.0), rtol=1e-6)
@@ -61,7 +62,7 @@ def test_with_a_time_of_doubling_the_interest_grows_up_to_32_times() -> None:
     factor = [[1.0, math.sqrt(2.0), 2.0], [8.0, 32.0, 32.0]]
     expected = np.asarray(interest(plain, idleness)) * factor
     np.testing.assert_allclose(interest(growing, idleness), expected, rtol=1e-5)
-    np.testing.assert_array_equal(growing.init((2, 3)), 60.0)
+    np.testing.assert_array_equal(growing.init(SMALL), 60.0)
 
 
 def test_with_an_infinite_memory_one_look_is_enough() -> None:
@@ -80,7 +81,7 @@ def test_after_the_memory_times_ln_2_the_chance_is_a_quarter() -> None:
 @given(st.lists(st.tuples(hnp.arrays(bool, (2, 3)), st.floats(0.0, 9.0, width=32)), max_size=6))
 def test_a_look_resets_what_is_seen_and_the_rest_grows_older(looks) -> None:
     watch, never = IdlenessMap(5.0), np.full((2, 3), np.inf)
-    found, expected = watch.init((2, 3)), never
+    found, expected = watch.init(SMALL), never
     for is_seen, elapsed in looks:
         found = watch.update(found, jnp.asarray(is_seen), jnp.asarray(elapsed, jnp.float32))
         expected = np.where(is_seen, 0.0, expected + float(elapsed))

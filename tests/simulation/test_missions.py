@@ -21,13 +21,13 @@ from jaxplore import (
     Perception,
     TerrainMap,
 )
-from jaxplore.belief import IdlenessMap
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.geometry import Chassis
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
+from jaxplore.parts import IdlenessMap
 from jaxplore.report.drawing.colours import TARGET
 from jaxplore.simulation.exploration.wheels import TIPPING_TIME, TRACTION, Wheels, drive_on_wheels
 from jaxplore.simulation.loop import (
@@ -109,7 +109,7 @@ def scenario(
         num_directions=4,
         node_spacing=0.2,
         ground=terrain.ground,
-        watch=IdlenessMap(20.0),
+        parts=[IdlenessMap(20.0)],
     )
     return ExplorationScenario(
         terrain,
@@ -247,7 +247,7 @@ def test_idleness_is_the_time_since_the_first_sensor_saw_each_cell(search) -> No
         assert outcome.records.worst_idleness[step] == pytest.approx(idle.max(), abs=1e-3)
     assert 0.0 < idle.mean() < idle.max()
     belief = outcome.state.task.belief
-    np.testing.assert_allclose(belief.grid.crop(belief.idleness), time - last, atol=1e-3)
+    np.testing.assert_allclose(belief.grid.crop(belief.parts["watch"]), time - last, atol=1e-3)
 
 
 # What moves

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from jaxplore import DifferentialDrive, ExplorationScenario, Lidar, OccupancyGrid, Perception
-from jaxplore.belief import Recognition
 from jaxplore.control.base import Controller, Info
 from jaxplore.maps import LabelledObject
+from jaxplore.parts import Recognition
 from jaxplore.sensing import Detector
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
@@ -45,7 +45,12 @@ def scenario(objects=OTHERS, recognition=None, **more) -> ExplorationScenario:
     cells = np.full(SHAPE, 0.01)
     cells[0], cells[-1], cells[:, 0], cells[:, -1] = 0.99, 0.99, 0.99, 0.99
     perception = Perception(
-        SENSOR, RESOLUTION, 0.25, num_directions=4, node_spacing=0.4, recognition=recognition
+        SENSOR,
+        RESOLUTION,
+        0.25,
+        num_directions=4,
+        node_spacing=0.4,
+        parts=[] if recognition is None else [recognition],
     )
     return ExplorationScenario(
         OccupancyGrid(cells, RESOLUTION),
@@ -75,7 +80,7 @@ def search():
 
 def test_a_target_is_found_when_it_was_reported_and_not_when_it_is_seen(search) -> None:
     given, state, records = search
-    objects = state.task.belief.objects
+    objects = state.task.belief.parts["detector"]
     at = np.asarray(objects.reported_at)[:2, 1]
     time = np.arange(len(records.targets_seen)) * given.period
     # The record of a step holds what was measured at its beginning.
@@ -98,7 +103,7 @@ def test_the_field_has_what_objects_add_and_nothing_of_earlier_looks(search) -> 
     )
     added = np.asarray(field.total - plain.total)
     # More than one bit of each object would be left over from the fields before.
-    most = float(perception.recognition.weight) * 3 * np.log(2.0)
+    most = float(perception.part(Recognition).weight) * 3 * np.log(2.0)
     assert (added > -1e-3).all()
     assert 0.1 < added.max() < most
 

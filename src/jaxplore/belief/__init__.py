@@ -1,17 +1,14 @@
 """The robot's belief: its map, the fields derived from it, and the obstacles that it tracks."""
 
-from jaxplore.belief.anomalies import Anomalies as Anomalies
-from jaxplore.belief.anomalies import AnomalyTest as AnomalyTest
 from jaxplore.belief.belief import Belief as Belief
 from jaxplore.belief.belief import StrategicBelief as StrategicBelief
 from jaxplore.belief.car import CarMotion as CarMotion
 from jaxplore.belief.certainty import CertaintyField as CertaintyField
 from jaxplore.belief.guidance import GuidanceField as GuidanceField
-from jaxplore.belief.idleness import IdlenessMap as IdlenessMap
 from jaxplore.belief.obstacles import Obstacles as Obstacles
+from jaxplore.belief.part import Observation as Observation
+from jaxplore.belief.part import Part as Part
 from jaxplore.belief.perception import Perception as Perception
-from jaxplore.belief.recognition import ObjectClasses as ObjectClasses
-from jaxplore.belief.recognition import Recognition as Recognition
 from jaxplore.belief.tracks import ObstacleTracker as ObstacleTracker
 from jaxplore.belief.tracks import Tracks as Tracks
 from jaxplore.belief.volume import VolumePerception as VolumePerception

@@ -1,18 +1,18 @@
 """The belief: the robot's map, fields derived from it, and known moving obstacles."""
 
+import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Optional, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore._types import Flag, GridValues, Pose, Position, Scalar
-from jaxplore.belief.anomalies import Anomalies
+from jaxplore._types import Flag, Pose, Position, Scalar
 from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.gain import Gain
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.obstacles import Obstacles
-from jaxplore.belief.recognition import ObjectClasses
 from jaxplore.belief.timed_reference import TimedReference
 from jaxplore.belief.tracks import Tracks
 from jaxplore.information.field import InformationField
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     # The parts are typed as present: exploration code always has a map and would otherwise have to
     # check for None at every use. `part` reports an absent one.
     _Present = TypeVar("_Present")
-    Part = Annotated[_Present, "None where the belief has no such part"]
+    Present = Annotated[_Present, "None where the belief has no such part"]
 else:
     # At run time a part may be None, which checks of types at run time must accept.
-    Part = Optional
+    Present = Optional
 
 
 class Belief(eqx.Module):
@@ -57,10 +57,7 @@ class Belief(eqx.Module):
         path_stop: arc length of the next point of a path at which the robot shall stand [m]; the
             end of an open path when absent.
         obstacles: known moving obstacles; none when absent.
-        idleness: (H, W) time since each cell was last seen [s], infinite if never; absent without
-            an idleness map.
-        anomalies: what differs from the known map; absent without a test for it.
-        objects: objects and the probabilities of their classes; absent without a detector.
+        parts: state of each `Part` of the robot, by its name.
         certainty: information of a scan about the position, near the robot [1/m^2]; absent if the
             robot knows its pose, as are the two below.
         position_variance: variance of the position in the map [m^2].
@@ -73,20 +70,18 @@ class Belief(eqx.Module):
         tracks: tracks of what moves, from which `obstacles` follow; absent without a tracker.
     """
 
-    grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
-    clearance: Part[ScalarField] = None  # type: ignore[assignment]
-    information: Part[InformationField] = None  # type: ignore[assignment]
-    guidance: Part[GuidanceField] = None  # type: ignore[assignment]
-    dwell: Part[Float[Array, "rows columns"]] = None  # type: ignore[assignment]
+    grid: Present[OccupancyGrid] = None  # type: ignore[assignment]
+    clearance: Present[ScalarField] = None  # type: ignore[assignment]
+    information: Present[InformationField] = None  # type: ignore[assignment]
+    guidance: Present[GuidanceField] = None  # type: ignore[assignment]
+    dwell: Present[Float[Array, "rows columns"]] = None  # type: ignore[assignment]
     is_explored: Flag = eqx.field(default_factory=lambda: jnp.array(False))
     patience: Scalar = eqx.field(default_factory=lambda: jnp.array(3.0))
     pose: Pose = eqx.field(default_factory=lambda: jnp.zeros(3))
     ground: Ground | None = None
     to_goal: GuidanceField | None = None
     obstacles: Obstacles | None = None
-    idleness: GridValues | None = None
-    anomalies: Anomalies | None = None
-    objects: ObjectClasses | None = None
+    parts: dict[str, Any] = eqx.field(default_factory=dict)
     certainty: ScalarField | None = None
     position_variance: Scalar | None = None
     revisit: Float[Array, "rows columns"] | None = None
@@ -110,6 +105,14 @@ class Belief(eqx.Module):
     def worth(self) -> Float[Array, "rows columns"]:
         """Information of a scan from each node, times `dwell_discount` [nat]."""
         return self.information.total * dwell_discount(self.dwell, self.patience)
+
+    def with_parts[B: "Belief"](self: B, states: Mapping[str, Any]) -> B:
+        """Return the belief with other states of some of its parts.
+
+        Args:
+            states: the states, by name of the part.
+        """
+        return dataclasses.replace(self, parts={**self.parts, **states})
 
 
 class StrategicBelief(Belief, TimedReference):
@@ -139,12 +142,14 @@ class MissingPartError(ValueError):
 
 
 def part(belief: Any, name: str) -> Any:
-    """Return a part of a `Belief`, or of any object with such an attribute.
+    """Return a field of a `Belief` or the state of a part, or an attribute of any other object.
 
     Raises:
         MissingPartError: the part is absent, or the belief is None. The error names its source.
     """
     found = getattr(belief, name, None)
+    if found is None:
+        found = getattr(belief, "parts", {}).get(name)
     if found is None:
         source = _SOURCES.get(name, _MAP)
         if belief is None:

@@ -1,20 +1,22 @@
 """The fields of a belief that planning reads, as they follow from its map."""
 
 import dataclasses
+import functools
+import operator
+from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import Flag, GridValues, Pose, Position, Scalar
-from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.dwell import add_dwell, dwell_discount, with_given_up
 from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
-from jaxplore.belief.idleness import IdlenessMap
-from jaxplore.belief.recognition import Recognition
+from jaxplore.belief.part import Part
 from jaxplore.belief.roadmap import Locomotion
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
@@ -45,9 +47,7 @@ class BeliefFields(eqx.Module):
     goal_heading: Scalar | None
     max_unknown: Scalar
     ground: Ground | None
-    watch: IdlenessMap | None
-    anomalies: AnomalyTest | None
-    recognition: Recognition | None
+    parts: tuple[Part, ...]
     unknown_factor: Scalar
     is_goal_apart: bool = eqx.field(static=True)
     is_batched: bool = eqx.field(static=True)
@@ -75,9 +75,10 @@ class BeliefFields(eqx.Module):
             ValueError: something else than a belief.
         """
         _kinds.instance("belief", belief, Belief)
-        # What objects add is in the last field, and an update would keep it.
-        before = belief.information if belief.objects is None else None
-        information = self._information(belief.grid, belief.idleness, before)
+        # What parts add is in the last field, and an update would keep it.
+        is_added = any(part.adds_information for part, _ in self._known(belief.parts))
+        before = None if is_added else belief.information
+        information = self._information(belief, before)
         dwell = belief.dwell
         if belief.gain is not None:
             looks = belief.information.total, information.total
@@ -113,12 +114,6 @@ class BeliefFields(eqx.Module):
         self, belief: Belief, information: InformationField, dwell: GridValues, pose: Pose
     ) -> Belief:
         """Return the belief with the fields that follow from its map and the information."""
-        if self.anomalies is not None and belief.anomalies is not None:
-            information = self.anomalies.add_attention(belief.anomalies, information, belief.grid)
-        if self.recognition is not None and belief.objects is not None:
-            information = self.recognition.add_information(
-                belief.objects, information, belief.grid, self.sensors[0].max_range
-            )
         guidance, is_explored = self._make_guidance(
             belief.grid,
             belief.clearance,
@@ -139,14 +134,27 @@ class BeliefFields(eqx.Module):
             to_goal=self._to_goal(belief.grid, pose),
         )
 
-    def _information(
-        self, grid: OccupancyGrid, idleness: GridValues | None, before: InformationField | None
-    ) -> InformationField:
+    def _known(self, states: Mapping[str, Any]) -> list[tuple[Part, Any]]:
+        """Return the parts that have a state, each with its own."""
+        return [(part, states[part.name]) for part in self.parts if part.name in states]
+
+    def _information(self, belief: Belief, before: InformationField | None) -> InformationField:
         """Return the information field, updated from the last one if that suffices."""
+        field = self._cell_information(belief.grid, belief.parts, before)
+        for part, own in self._known(belief.parts):
+            field = part.add_information(own, field, belief.grid, self.sensors[0])
+        return field
+
+    def _cell_information(
+        self, grid: OccupancyGrid, states: Mapping[str, Any], before: InformationField | None
+    ) -> InformationField:
+        """Return the information field without what parts add to it beside their interest."""
         prior = self.occupancy_prior
-        if self.watch is not None and idleness is not None:
+        given = [part.interest(own) for part, own in self._known(states)]
+        interests = [each for each in given if each is not None]
+        if interests:
             # The interest of every cell changes with time, so the whole field is recomputed.
-            interest = self.watch.interest(idleness)
+            interest = functools.reduce(operator.add, interests)
             return self.field_sensor.field(grid, self.sensor_model, interest, prior=prior)
         if before is None or self.is_batched:
             return self.field_sensor.field(grid, self.sensor_model, prior=prior)

@@ -13,20 +13,17 @@ from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._trees import with_field
 from jaxplore._types import ArrayLike, Pose, Vector
 from jaxplore._xla import compute
-from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.car import CarMotion
 from jaxplore.belief.fields import BeliefFields
 from jaxplore.belief.gain import Gain
-from jaxplore.belief.idleness import IdlenessMap
+from jaxplore.belief.part import Observation, Part, as_parts
 from jaxplore.belief.perception_checks import (
     as_scans,
     as_sensors,
-    check_test,
     narrow_clearance,
     safe_stride,
 )
-from jaxplore.belief.recognition import Recognition
 from jaxplore.belief.roadmap import ROOMY, TurnsOnTheSpot
 from jaxplore.belief.robot_cells import free_below
 from jaxplore.belief.tracks import ObstacleTracker
@@ -64,12 +61,9 @@ class Perception(BeliefFields):
     is computed with the probability `occupancy_prior` for these cells, about the share of occupied
     cells in buildings.
 
-    With a `watch`, the belief also tracks the idleness of each cell. The interest of observing it
-    is added to the information field, so that guidance leads there as well.
-
-    With `anomalies`, each scan of the first sensor is tested for what differs from the prior map,
-    and the information field leads to a second look (`AnomalyTest`). With a `recognition`, looks at
-    the objects of the belief, which the task adds, add to the field (`Recognition`).
+    The robot may have `parts` beside its map, such as `jaxplore.parts.IdlenessMap`. They learn from
+    the scans of the first sensor, and add to the information field, so that guidance leads to
+    places that tell them something.
 
     Args:
         sensors: sensor of the robot, or several. All of them update the map. Information and
@@ -97,25 +91,23 @@ class Perception(BeliefFields):
         max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map counts as explored;
             used only with a goal.
         ground: ground of the map's cells; level and traversable by default.
-        watch: idleness map for search or patrol; none by default.
         is_goal_apart: whether the goal gets a cost-to-go of its own, `Belief.to_goal`, instead of
             being a source of the guidance field; static.
         unknown_factor: additional cost per metre of unknown space in that cost-to-go.
         car: how a robot moves that cannot turn on the spot; by default it can.
-        anomalies: test for what differs from the prior map; none by default.
-        recognition: classes of objects; none by default.
+        parts: what the robot has beside its map (`jaxplore.parts`); nothing by default.
         is_localising: whether the robot estimates its pose. It decides the default of
             `min_information`. When the robot has seen nothing new for `memory`, each place that a
             look takes below `min_information` counts as one where it has stayed for twice
-            `patience` more. Not so with a watch, anomalies or a recognition, for which places must
-            be seen again.
+            `patience` more. Not so with parts for which places must be seen again.
         tracker: what finds and tracks moving obstacles in the scans; without it they are mapped
             like all else.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
-            goal; `anomalies` without a watch, with a ground, or with a first sensor that is no
-            lidar; a tracker with a ground, whose hills return beams like what moves.
+            goal; two parts of one name, or a part without another that it needs or with a sensor or
+            ground that it does not allow; a tracker with a ground, whose hills return beams like
+            what moves.
     """
 
     resolution: float = eqx.field(static=True)
@@ -142,22 +134,18 @@ class Perception(BeliefFields):
         goal_heading: ArrayLike | None = None,
         max_unknown: ArrayLike = MAX_UNKNOWN,
         ground: Ground | None = None,
-        watch: IdlenessMap | None = None,
         is_goal_apart: bool = False,
         unknown_factor: ArrayLike = 0.5,
         car: CarMotion | None = None,
-        anomalies: AnomalyTest | None = None,
-        recognition: Recognition | None = None,
+        parts: Sequence[Part] = (),
         is_localising: bool = False,
         tracker: ObstacleTracker | None = None,
     ) -> None:
         _kinds.flag("is_localising", is_localising)
         _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
         _kinds.instance("ground", ground, Ground, may_be_none=True)
-        _kinds.instance("watch", watch, IdlenessMap, may_be_none=True)
         _kinds.flag("is_goal_apart", is_goal_apart)
         _kinds.instance("car", car, CarMotion, may_be_none=True)
-        _kinds.instance("recognition", recognition, Recognition, may_be_none=True)
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
         self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
@@ -198,8 +186,7 @@ class Perception(BeliefFields):
             None if goal_heading is None else _checks.scalar("goal_heading", goal_heading)
         )
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
-        self.ground, self.watch, self.recognition = ground, watch, recognition
-        self.anomalies = check_test(anomalies, self.sensors[0], ground, watch)
+        self.ground, self.parts = ground, as_parts(parts, self.sensors, ground)
         self.unknown_factor = _checks.scalar("unknown_factor", unknown_factor, at_least=0.0)
         if is_goal_apart and goal is None:
             raise ValueError("goal is None; accepted: a position, for a goal apart")
@@ -210,8 +197,16 @@ class Perception(BeliefFields):
             raise ValueError("tracker is given beside a ground; accepted: one of them")
         self.tracker = tracker
         # What must be seen again is not given up.
-        is_revisiting = any(each is not None for each in (watch, anomalies, recognition))
+        is_revisiting = any(each.is_revisiting for each in self.parts)
         self.gives_up = is_localising and not is_revisiting
+
+    def part[P: Part](self, kind: type[P]) -> P | None:
+        """Return the part of a class; None without it.
+
+        Args:
+            kind: the class, such as `jaxplore.parts.IdlenessMap`.
+        """
+        return next((each for each in self.parts if isinstance(each, kind)), None)
 
     def for_batches(self) -> "Perception":
         """Return a copy for use under `jax.vmap`, which recomputes fields instead of updating them.
@@ -235,9 +230,9 @@ class Perception(BeliefFields):
         pose = _checks.pose("pose", pose)
         grid = self.free_below_robot(grid, pose)
         clearance = self._clearance(grid)
-        anomalies = None if self.anomalies is None else self.anomalies.init(grid)
-        idleness = None if self.watch is None else self.watch.init(grid.shape)
-        information = self._information(grid, idleness, None)
+        begun = {part.name: part.init(grid) for part in self.parts}
+        states = {name: own for name, own in begun.items() if own is not None}
+        information = self._cell_information(grid, states, None)
         dwell = jnp.zeros_like(information.total)
         nothing = jnp.zeros(())
         guidance, is_explored = self._make_guidance(grid, clearance, information, dwell, pose)
@@ -254,8 +249,7 @@ class Perception(BeliefFields):
             self.ground,
             self._to_goal(grid, pose),
             None if self.tracker is None or tracks is None else self.tracker.obstacles(tracks),
-            idleness,
-            anomalies,
+            states,
             gain=Gain(nothing, nothing) if self.gives_up else None,
             tracks=tracks,
             goal=self.goal,
@@ -291,7 +285,7 @@ class Perception(BeliefFields):
     def remap(self, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief with another map, all of whose fields are made anew.
 
-        The time that the robot spent at each place and the idleness stay as they are.
+        The time that the robot spent at each place and what parts know stay as they are.
 
         Args:
             belief: belief with the former map.
@@ -299,7 +293,7 @@ class Perception(BeliefFields):
             pose: present pose (x, y, yaw) of the robot [m, m, rad].
         """
         changed = self.with_map(belief, grid)
-        information = self._information(grid, belief.idleness, None)
+        information = self._information(changed, None)
         return self._derive_fields(changed, information, belief.dwell, pose)
 
     def observe(
@@ -310,21 +304,20 @@ class Perception(BeliefFields):
         elapsed: ArrayLike = 0.1,
         time: ArrayLike | None = None,
     ) -> Belief:
-        """Update the map, the clearance and the idleness of the belief by a scan of each sensor.
+        """Update the map, the clearance and the parts of the belief by a scan of each sensor.
 
         Clearances are updated around the robot only, where scans can change the map (`window`).
         Those of a belief with another map must be computed anew (`init`).
 
-        With a test for anomalies, the first scan is tested as well. With a tracker, the scans
-        update the tracks, and returns of what moves are not mapped.
+        Parts learn from the first scan. With a tracker, the scans update the tracks, and returns of
+        what moves are not mapped.
 
         Args:
             belief: belief before the scans.
             scans: one for each sensor.
             pose: estimated pose (x, y, yaw) of the robot [m, m, rad].
-            elapsed: time since the last scans [s], for the idleness.
-            time: time since the start [s], for reports of anomalies; the sum of the times elapsed
-                when absent.
+            elapsed: time since the last scans [s].
+            time: time since the start [s]; the sum of the times elapsed when absent.
 
         Raises:
             ValueError: another number of scans than there are sensors, an argument of another kind
@@ -337,27 +330,23 @@ class Perception(BeliefFields):
             _checks.of_shape("time", time, ())
         scans = as_scans(scans, len(self.sensors))
         belief, scans = self._track(belief, scans, pose, elapsed, time)
-        grid, idleness, anomalies = belief.grid, belief.idleness, belief.anomalies
-        # Only the first sensor observes cells for search and patrol.
+        grid, states = belief.grid, belief.parts
+        passed = jnp.asarray(elapsed, jnp.float32)
+        now = None if time is None else jnp.asarray(time, jnp.float32)
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
             sighting = sensor.sight(grid, scan, pose, self.ground)
             grid = update_grid(grid, sighting, self.sensor_model)
-            if index == 0 and self.watch is not None and idleness is not None:
-                step = jnp.asarray(elapsed, jnp.float32)
-                idleness = self.watch.update(idleness, sighting.is_seen, step)
-            if index == 0 and self.anomalies is not None and anomalies is not None:
-                now = anomalies.time + elapsed if time is None else time
-                args = (sensor, grid, scan, sighting.is_seen, pose, jnp.asarray(now, jnp.float32))
-                anomalies = self.anomalies.update(anomalies, *args)
+            if index == 0:
+                seen = Observation(sensor, grid, scan, sighting.is_seen, pose, passed, now)
+                known = {part.name: part.observe(own, seen) for part, own in self._known(states)}
+                states = {**states, **known}
         clearance = update_clearance(
             belief.clearance,
             self.window(grid, pose),
             functools.partial(find_closed_cells, grid, self.ground),
             self.max_clearance,
         )
-        return dataclasses.replace(
-            belief, grid=grid, clearance=clearance, idleness=idleness, anomalies=anomalies
-        )
+        return dataclasses.replace(belief, grid=grid, clearance=clearance, parts=states)
 
     def _track(
         self,

@@ -6,40 +6,12 @@ from collections.abc import Sequence
 from jaxplore import _kinds
 from jaxplore._types import Scalar
 from jaxplore._xla import compute
-from jaxplore.belief.anomalies import AnomalyTest
-from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.roadmap import narrowest
-from jaxplore.maps.ground import Ground
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
-from jaxplore.sensing.lidar import Lidar
 
 NARROW_SHARE = 0.4
 """Share of the margin that a robot keeps in passages that are too narrow for all of it."""
-
-
-def check_test(
-    anomalies: AnomalyTest | None,
-    sensor: Sensor,
-    ground: Ground | None,
-    watch: IdlenessMap | None,
-) -> AnomalyTest | None:
-    """Check that a perception can test for anomalies with its first sensor, and return the test.
-
-    Raises:
-        ValueError: a test without a watch, with a ground, or for another sensor than a lidar.
-    """
-    _kinds.instance("anomalies", anomalies, AnomalyTest, may_be_none=True)
-    if anomalies is None:
-        return None
-    if watch is None:
-        raise ValueError("watch is None; accepted: an IdlenessMap, with a test for anomalies")
-    if ground is not None:
-        raise ValueError("ground is given; accepted with a test for anomalies: level ground")
-    if not isinstance(sensor, Lidar):
-        kind = type(sensor).__name__
-        raise ValueError(f"sensors begin with a {kind}; accepted with a test for anomalies: Lidar")
-    return anomalies
 
 
 def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:

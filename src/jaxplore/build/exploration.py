@@ -4,9 +4,8 @@ from typing import Any
 
 import jax
 
-from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.car import car_motion
-from jaxplore.belief.idleness import IdlenessMap
+from jaxplore.belief.part import Part
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.build.controllers import build_controller
@@ -29,6 +28,8 @@ from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
+from jaxplore.parts.anomalies import AnomalyTest
+from jaxplore.parts.watch import IdlenessMap
 from jaxplore.sensing.base import Sensor
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings, make_exploration_settings
@@ -116,7 +117,6 @@ def _perception(
     settings: Settings, robot: Dynamics, world: RunWorld, sensors: tuple[Sensor, ...]
 ) -> Perception:
     goal = None if world.goal is None else world.goal[:2]
-    watch, test = settings.watch, settings.anomalies
     # When absent, the default of `Perception` applies, not that of the scenario.
     tracker = ObstacleTracker(**arguments(settings.people, ObstacleTracker))
     share = _choose_max_unknown(settings)
@@ -129,13 +129,7 @@ def _perception(
         goal=goal,
         goal_heading=None if goal is None else settings.goal_heading,
         ground=world.ground,
-        watch=None if watch is None else IdlenessMap(**arguments(watch, IdlenessMap)),
-        anomalies=(
-            None
-            if test is None
-            else AnomalyTest(forbidden=world.forbidden, **arguments(test, AnomalyTest))
-        ),
-        recognition=build_recognition(settings.detector),
+        parts=_parts(settings, world),
         # Only the portfolio has an objective that reads the cost to go to the goal on its own.
         is_goal_apart=settings.architecture == "portfolio"
         and goal is not None
@@ -146,6 +140,18 @@ def _perception(
         **arguments(settings.fields, Perception),
         **unknown,
     )
+
+
+def _parts(settings: Settings, world: RunWorld) -> list[Part]:
+    """Build what the robot has beside its map."""
+    watch, test, parts = settings.watch, settings.anomalies, list[Part]()
+    if watch is not None:
+        parts.append(IdlenessMap(**arguments(watch, IdlenessMap)))
+    if test is not None:
+        parts.append(AnomalyTest(forbidden=world.forbidden, **arguments(test, AnomalyTest)))
+    if settings.detector is not None:
+        parts.append(build_recognition(settings.detector))
+    return parts
 
 
 def with_start(entries: dict[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from jaxplore.belief.recognition import Recognition
 from jaxplore.build.user_code import import_robot
 from jaxplore.control.adaptive_horizon import (
     AdaptiveHorizon,
@@ -27,6 +26,7 @@ from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.chassis import Chassis
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.datum import ORIGIN, Datum
+from jaxplore.parts.recognition import Recognition
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.detector import Detector
@@ -138,10 +138,8 @@ def build_chassis(
     )
 
 
-def build_recognition(given: DetectorSettings | None) -> Recognition | None:
-    """Build the detector of objects, and the update of their classes; None without one."""
-    if given is None:
-        return None
+def build_recognition(given: DetectorSettings) -> Recognition:
+    """Build the detector of objects, and the update of their classes."""
     detector = Detector(given.classes, given.confusion, **arguments(given, Detector))
     return Recognition(detector, **arguments(given, Recognition))
 

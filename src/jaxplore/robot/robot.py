@@ -2,7 +2,8 @@
 
 import dataclasses
 import functools
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,6 @@ from jaxplore.robot.localisation import Localisation, Motions, PoseKnowledge
 from jaxplore.robot.scan_points import scan_points
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
-from jaxplore.sensing.detector import Detections
 
 FITTING = -1.0
 """Time for which scans have not fitted the map, while they do fit [s]."""
@@ -48,14 +48,6 @@ class Told(NamedTuple):
     pose: Pose
 
 
-class Look(NamedTuple):
-    """What a camera at `position` (x, y) reports of the objects at `place` (N, 2) [m]."""
-
-    detections: Detections
-    place: Float[Array, "N 2"]
-    position: Float[Array, "2"]
-
-
 class Measurement(NamedTuple):
     """All that a robot measures in a control period, and what is due in it.
 
@@ -71,10 +63,10 @@ class Measurement(NamedTuple):
         since_fields: time since the last one [s].
         elapsed: time since the measurement before [s].
         time: time since the start [s]; None for a drive without an end, whose time has no place in
-            single precision: it has no guard and recognises nothing.
+            single precision: it has no guard and no instruments of parts.
         guard: judgement of the guard; None without one.
         told: moving obstacles; None for a robot that finds them in its scans.
-        look: reports of objects; None for a robot that recognises none.
+        looks: what the instruments of parts say, by the name of the part; None without any.
         motions: how the robot may have moved since scans were last due, for one that finds its pose
             and has not predicted it meanwhile.
     """
@@ -90,7 +82,7 @@ class Measurement(NamedTuple):
     time: Scalar | None
     guard: GuardState | None = None
     told: Told | None = None
-    look: Look | None = None
+    looks: Mapping[str, Any] | None = None
     motions: Motions | None = None
 
 
@@ -230,14 +222,15 @@ class Robot(NamedTuple):
             else:
                 own, is_mapped = self._locate(own, measured, sight)
                 is_looking = is_mapped | (not self.localisation.localiser.is_mapping)
-            recognition, objects = self.perception.recognition, own.belief.objects
-            look = measured.look
-            if look is not None and recognition is not None and objects is not None:
-                assert measured.time is not None
-                after = recognition.update(objects, *look, measured.time)
-                known = jax.tree.map(functools.partial(jnp.where, is_looking), after, objects)
-                own = own._replace(belief=dataclasses.replace(own.belief, objects=known))
-            return own, is_mapped
+            states, looks, known = own.belief.parts, measured.looks or {}, {}
+            for part in self.perception.parts:
+                if part.name in looks and part.name in states:
+                    assert measured.time is not None
+                    former = states[part.name]
+                    after = part.look(former, looks[part.name], measured.time)
+                    chosen = jax.tree.map(functools.partial(jnp.where, is_looking), after, former)
+                    known[part.name] = chosen
+            return own._replace(belief=own.belief.with_parts(known)), is_mapped
 
         return when_due(measured.is_scan_due, sight.is_taken, sense, (own, jnp.array(False)))
 

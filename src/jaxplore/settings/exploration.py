@@ -9,15 +9,15 @@ from pydantic import Field
 
 from jaxplore._limits import MOST_NAMES
 from jaxplore._spelling import match_spelling
-from jaxplore.belief.anomalies import AnomalyTest
-from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
-from jaxplore.belief.recognition import Recognition
 from jaxplore.maps.files.ros import MapRules
 from jaxplore.maps.generators.office import office
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
+from jaxplore.parts.anomalies import AnomalyTest
+from jaxplore.parts.recognition import Recognition
+from jaxplore.parts.watch import IdlenessMap
 from jaxplore.planning.presets.flight import Flight
 from jaxplore.sensing.detector import Detector
 from jaxplore.settings.code_names import WordsOrOwn
@@ -107,7 +107,7 @@ class OfficeSettings(Section):
 
 
 class WatchSettings(Section):
-    """The idleness map, for search and patrol: see `jaxplore.belief.IdlenessMap`."""
+    """The idleness map, for search and patrol: see `jaxplore.parts.IdlenessMap`."""
 
     memory: Positive | None = setting(IdlenessMap, "memory")
     weight: NonNegative = setting(IdlenessMap, "weight")
@@ -115,7 +115,7 @@ class WatchSettings(Section):
 
 
 class AnomalySettings(Section):
-    """The test for what differs from the known map: see `jaxplore.belief.AnomalyTest`."""
+    """The test for what differs from the known map: see `jaxplore.parts.AnomalyTest`."""
 
     false_alarms: Probability = setting(AnomalyTest, "false_alarms")
     outliers: Probability = setting(AnomalyTest, "outliers")
@@ -130,7 +130,7 @@ class AnomalySettings(Section):
 
 class DetectorSettings(Section):
     """The detector of objects, and the update of their classes: see `jaxplore.sensing.Detector` and
-    `jaxplore.belief.Recognition`.
+    `jaxplore.parts.Recognition`.
 
     Args:
         classes: names of the classes, at least two.

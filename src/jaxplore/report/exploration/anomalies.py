@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxplore.belief.anomaly_reports import KIND_NAMES
+from jaxplore.parts.anomaly_reports import KIND_NAMES
 from jaxplore.report._numbers import finite
 from jaxplore.report.drawing.colours import ALARM, shade
 from jaxplore.report.exploration.data import AnomalyData

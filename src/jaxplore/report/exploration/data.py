@@ -89,7 +89,7 @@ class AnomalyData(NamedTuple):
 
     Args:
         boxes: (P, 4) rectangles (x_min, y_min, x_max, y_max) of what differs [m].
-        kinds: (P,) kinds, the keys of `belief.anomaly_reports.KIND_NAMES`.
+        kinds: (P,) kinds, the keys of `parts.anomaly_reports.KIND_NAMES`.
         place: (R, 2) places that the robot suspected [m].
         kind: (R,) their kinds.
         suspected: (R,) times of the suspicions [s].

@@ -12,6 +12,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.control.base import SampledPlan
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.parts.recognition import Recognition
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 
@@ -36,7 +37,7 @@ def frame_arrays(
     angles = pose[2] + jnp.asarray(sensor.beam_angles)
     directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
     nowhere = jnp.zeros((0, 2))
-    objects, classes = belief.objects, jnp.zeros((0, 0))
+    objects, classes = belief.parts.get(Recognition.name), jnp.zeros((0, 0))
     if objects is not None:
         classes = jnp.where(objects.is_known[:, None], objects.probability, jnp.nan)
     tracks, followed = jnp.zeros((0, 2, 2)), belief.tracks

@@ -1,7 +1,7 @@
 """What a robot measures in the true world."""
 
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,8 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Key
+from jaxplore.parts.recognition import Recognition
 from jaxplore.robot.clock import when_due
-from jaxplore.robot.robot import Look, Measurement, Robot, Told
+from jaxplore.robot.robot import Measurement, Robot, Told
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.mount import ScanMotion
 from jaxplore.simulation.exploration.rates import Rates
@@ -48,28 +49,25 @@ class Instruments(NamedTuple):
         finds no moving obstacles itself is told of them; static.
         """
         robot, rates, objects = self.onboard, self.rates, self.objects
-        pose, sensors, recognition = (
-            robot.model.pose(state.robot),
-            robot.sensors,
-            robot.perception.recognition,
-        )
+        pose, sensors = robot.model.pose(state.robot), robot.sensors
+        recognition = robot.perception.part(Recognition)
         is_told = is_told and robot.perception.tracker is None
 
-        def take() -> tuple[Array, Array, Told | None, Look | None]:
+        def take() -> tuple[Array, Array, Told | None, dict[str, Any]]:
             scans = truth.scans(sensors, pose, key, self.scan_motion(state, moment))
             ranges, is_return = (jnp.concatenate(each) for each in zip(*scans, strict=True))
             told = truth.tell(sensors, pose, self.tracking_noise, key) if is_told else None
-            look = None
+            looks = {}
             if objects is not None and recognition is not None:
-                look = objects.look(recognition, truth, sensors[0], pose, key)
-            return ranges, is_return, told, look
+                looks[Recognition.name] = objects.look(recognition, truth, sensors[0], pose, key)
+            return ranges, is_return, told, looks
 
         is_due = rates.is_scan_due(moment.step)
         # What is not due is not read.
         blank = jax.tree.map(
             lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(take)
         )
-        ranges, is_return, told, look = when_due(
+        ranges, is_return, told, looks = when_due(
             is_due,
             ~moment.is_blind,
             lambda *_: take(),
@@ -91,7 +89,7 @@ class Instruments(NamedTuple):
             moment.time,
             moment.guard,
             told,
-            look,
+            looks,
         )
         return measured, ranges
 

@@ -17,6 +17,7 @@ from jaxplore.geometry.motion import compose
 from jaxplore.localisation.localiser import LocaliserState
 from jaxplore.localisation.thinning import halve
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.parts.recognition import Recognition
 from jaxplore.report.exploration.data import LocalisationData, MapProgress
 from jaxplore.robot.clock import when_due
 from jaxplore.robot.localisation import PoseKnowledge
@@ -178,8 +179,9 @@ class Judge(NamedTuple):
                 track = track.add_scans(place, own.place, pose)
                 reference, sums = self._refer(track, sums, own, measured.scans, pose, is_mapped)
                 track = track._replace(reference=reference)
-            if target_class is not None and own.belief.objects is not None:
-                found = own.belief.objects.reported_at[: is_seen.shape[0], target_class]
+            objects = own.belief.parts.get(Recognition.name)
+            if target_class is not None and objects is not None:
+                found = objects.reported_at[: is_seen.shape[0], target_class]
                 is_seen = jnp.isfinite(found)
             elif is_seen.shape[0] > 0:
                 is_seen = is_seen | find()

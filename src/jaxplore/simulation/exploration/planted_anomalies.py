@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplore._xla import on_device
-from jaxplore.belief.anomaly_reports import APPEARED, GONE, PERSON
 from jaxplore.maps.files.world_entries import Row
 from jaxplore.maps.shapes import Shapes
 from jaxplore.maps.world import World
+from jaxplore.parts.anomaly_reports import APPEARED, GONE, PERSON
 
 
 class PlantedAnomalies(NamedTuple):

@@ -8,6 +8,7 @@ from jaxplore._types import Count, GridMask, GridValues, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.zones import UNKNOWN, entropy_proxy
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, entropy
+from jaxplore.parts.watch import IdlenessMap
 from jaxplore.report.exploration.data import MapProgress
 
 
@@ -76,9 +77,10 @@ def map_progress(sums: MapSums, belief: Belief, reachable: GridMask, time: Scala
         return total / sums.reachable.astype(jnp.float32)
 
     mean, worst = jnp.zeros(()), jnp.zeros(())
-    if belief.idleness is not None:
+    idleness = belief.parts.get(IdlenessMap.name)
+    if idleness is not None:
         # The idleness of a cell that was never seen is infinite; here it counts from the start.
-        idle = jnp.where(reachable, jnp.minimum(belief.idleness, time), 0.0)
+        idle = jnp.where(reachable, jnp.minimum(idleness, time), 0.0)
         mean, worst = share(jnp.sum(idle)), jnp.max(idle)
     height, width = (jnp.asarray(side, jnp.float32) for side in belief.grid.sides)
     return MapProgress(

@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore._types import Position, Scalar, StateVector
-from jaxplore.belief.anomalies import Anomalies
-from jaxplore.belief.recognition import ObjectClasses, Recognition
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.parts.anomalies import Anomalies, AnomalyTest
+from jaxplore.parts.recognition import ObjectClasses, Recognition
+from jaxplore.parts.watch import IdlenessMap
 from jaxplore.report.exploration.data import (
     AnomalyData,
     ExplorationFrame,
@@ -54,6 +55,7 @@ def make_recording(
     after: ExplorationState = run.state.task
     world, ground = arrays.world, arrays.ground
     belief, moving, cropped = after.belief, after.moving_obstacles, after.belief.grid.crop
+    idleness = belief.parts.get(IdlenessMap.name)
     return ExplorationRecording(
         **run.common(period),
         **robot_fields(robot, start),
@@ -77,9 +79,9 @@ def make_recording(
         goal=None if goal is None else np.asarray(goal),
         elevation=None if ground is None else np.asarray(ground.elevation),
         traversable=None if ground is None else np.asarray(ground.is_traversable),
-        idleness=None if belief.idleness is None else cropped(belief.idleness),
-        anomalies=_anomalies(belief.anomalies, planted),
-        objects=_objects(belief.objects, objects, recognition),
+        idleness=None if idleness is None else cropped(idleness),
+        anomalies=_anomalies(belief.parts.get(AnomalyTest.name), planted),
+        objects=_objects(belief.parts.get(Recognition.name), objects, recognition),
         localisation=localisation,
         mover_radii=np.zeros(0) if moving is None else np.asarray(moving.radius),
     )

@@ -1,6 +1,5 @@
 """The exploration scenario: a robot with sensors in an unknown world."""
 
-import dataclasses
 import functools
 import math
 from collections.abc import Mapping, Sequence
@@ -49,6 +48,8 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import LabelledObject
+from jaxplore.parts.recognition import Recognition
+from jaxplore.parts.watch import IdlenessMap
 from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -304,7 +305,9 @@ class ExplorationScenario(Scenario):
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
         self.targets = checks.check_targets(targets, world, datum)
-        self.objects = true_objects(self.targets, objects, perception.recognition, world, datum)
+        self.objects = true_objects(
+            self.targets, objects, perception.part(Recognition), world, datum
+        )
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -313,7 +316,9 @@ class ExplorationScenario(Scenario):
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.check_coverage(target_coverage)
         chosen = choose_target(
-            target, has_coverage=target_coverage is not None, is_patrol=perception.watch is not None
+            target,
+            has_coverage=target_coverage is not None,
+            is_patrol=perception.part(IdlenessMap) is not None,
         )
         self.ends_by = on_device(np.asarray(TARGETS.index(chosen), np.int32))
         self.counts_walls = chosen == "walls"
@@ -408,10 +413,10 @@ class ExplorationScenario(Scenario):
     def init(self, key: Key | None) -> tuple[ExplorationState, Belief]:
         """Return the initial state, and the belief with the prior map."""
         belief = self.perception.init(self.map_arrays.prior, self.robot.pose(self.start))
-        recognition = self.perception.recognition
+        recognition = self.perception.part(Recognition)
         if self.objects is not None and recognition is not None:
-            objects = recognition.init(self.objects.label.shape[0])
-            belief = dataclasses.replace(belief, objects=objects)
+            slots = recognition.init_slots(self.objects.label.shape[0])
+            belief = belief.with_parts({Recognition.name: slots})
         moving = self.moving_obstacles
         if moving is not None and key is not None:
             moving = moving.at_random_phase(key)
@@ -519,7 +524,7 @@ class ExplorationScenario(Scenario):
         if place is None:
             before, own = judge.count_before(own, is_due, sight)
         own, is_mapped = onboard.map_scans(own, measured, sight)
-        recognition = self.perception.recognition
+        recognition = self.perception.part(Recognition)
         judged = judge.judge(
             *(state.judged, before, own, measured, sight, is_mapped),
             is_due=is_due,
@@ -699,7 +704,7 @@ class ExplorationScenario(Scenario):
         names = () if controller is None else controller.member_names
         parts = (self.map_arrays.crop(), self.robot, self.start, self.period)
         end = (self.goal, self.target, self.target_coverage, self.targets)
-        planted, how = self.planted, self.perception.recognition
+        planted, how = self.planted, self.perception.part(Recognition)
         after: ExplorationState = run.state.task
         is_given_up, place = bool(self.is_given_up(after)), None
         if after.own.place is not None and after.judged.track is not None:

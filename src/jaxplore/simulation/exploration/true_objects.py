@@ -11,11 +11,10 @@ from jaxtyping import Array, Float, Int
 from jaxplore import _kinds
 from jaxplore._types import Key, Pose
 from jaxplore._xla import on_device
-from jaxplore.belief.recognition import Recognition
 from jaxplore.maps.datum import Datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.world import LabelledObject
-from jaxplore.robot.robot import Look
+from jaxplore.parts.recognition import Look, Recognition
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.checks import check_spots
 from jaxplore.simulation.exploration.true_world import TrueWorld

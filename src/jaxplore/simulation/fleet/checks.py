@@ -60,9 +60,7 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
     perception = one.perception
     parts = {
         "goal": one.goal,
-        "watch": perception.watch,
-        "anomalies": perception.anomalies,
-        "recognition": perception.recognition,
+        **{part.name: part for part in perception.parts},
         "chassis": one.chassis,
         "guard": one.guard,
         "variation": one.variation,

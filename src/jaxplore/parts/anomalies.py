@@ -1,6 +1,8 @@
 """Find what differs from the known map: a sequential test of each cell, and a second look."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -12,7 +14,12 @@ from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_LOOKS
 from jaxplore._types import ArrayLike, Flag, GridMask, GridValues, Pose, Rows, Scalar
 from jaxplore._xla import on_device
-from jaxplore.belief.anomaly_reports import (
+from jaxplore.belief.part import Observation, Part
+from jaxplore.belief.sight import is_in_sight
+from jaxplore.information.field import InformationField
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD, OccupancyGrid
+from jaxplore.parts.anomaly_reports import (
     APPEARED,
     GONE,
     PERSON,
@@ -22,13 +29,11 @@ from jaxplore.belief.anomaly_reports import (
     cell_centres,
     square_distance,
 )
-from jaxplore.belief.sight import is_in_sight
-from jaxplore.information.field import InformationField
-from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.change_evidence import BeamModel, beam_evidence
 from jaxplore.sensing.fan import fan
+from jaxplore.sensing.lidar import Lidar
 
 LEAST_NOISE = 0.01
 """Least standard deviation of a range in the test [m]: without noise densities are infinite."""
@@ -68,7 +73,7 @@ class Anomalies(eqx.Module):
         return found | (self.person >= self.threshold).any()
 
 
-class AnomalyTest(eqx.Module):
+class AnomalyTest(Part):
     """Test of each scan for what differs from the known map, and the rules of the second look.
 
     A free cell in which beams end has something new in it. A wall that beams pass is gone. A beam
@@ -112,6 +117,9 @@ class AnomalyTest(eqx.Module):
     Raises:
         ValueError: a value out of its range.
     """
+
+    name: ClassVar[str] = "anomalies"
+    needs: ClassVar[tuple[str, ...]] = ("watch",)
 
     false_alarms: Scalar
     outliers: Scalar
@@ -162,6 +170,16 @@ class AnomalyTest(eqx.Module):
             raise ValueError(f"forbidden has shape {rows.shape}; accepted: {accepted}")
         self.forbidden = on_device(rows.copy())
 
+    def check(self, sensors: Sequence[Sensor], ground: Ground | None) -> None:
+        """Check that the ground is level and the first sensor a lidar."""
+        if ground is not None:
+            raise ValueError("ground is given; accepted with a test for anomalies: level ground")
+        if not isinstance(sensors[0], Lidar):
+            kind = type(sensors[0]).__name__
+            raise ValueError(
+                f"sensors begin with a {kind}; accepted with a test for anomalies: Lidar"
+            )
+
     def init(self, grid: OccupancyGrid) -> Anomalies:
         """Return the state before the first scan.
 
@@ -186,27 +204,10 @@ class AnomalyTest(eqx.Module):
             time=jnp.zeros(()),
         )
 
-    def update(
-        self,
-        state: Anomalies,
-        sensor: Sensor,
-        grid: OccupancyGrid,
-        scan: Scan,
-        is_seen: GridMask,
-        pose: Pose,
-        time: Scalar,
-    ) -> Anomalies:
-        """Return the state after a scan.
-
-        Args:
-            state: the state before.
-            sensor: sensor of the scan.
-            grid: a grid with the frame of the map.
-            scan: the scan.
-            is_seen: (H, W) cells that it observed.
-            pose: pose (x, y, yaw) of the robot [m, m, rad].
-            time: time since the start [s].
-        """
+    def observe(self, own: Anomalies, observation: Observation) -> Anomalies:
+        """Return the state after a scan."""
+        state, (sensor, grid, scan, is_seen, pose, elapsed, time) = own, observation
+        time = state.time + elapsed if time is None else time
         gathered = self.add_evidence(state, sensor, grid, scan, pose)
         # Most scans raise no alarm, and nothing waits for a second look.
         is_quiet = ~state.reports.is_open.any() & ~gathered.has_alarm
@@ -222,7 +223,7 @@ class AnomalyTest(eqx.Module):
     def add_evidence(
         self, state: Anomalies, sensor: Sensor, grid: OccupancyGrid, scan: Scan, pose: Pose
     ) -> Anomalies:
-        """Return the state with the evidence of a scan, and the same reports; see `update`."""
+        """Return the state with the evidence of a scan, and the same reports; see `evidence`."""
         change, person = self.evidence(state, sensor, grid, scan, pose)
 
         def accumulate(before: GridValues, more: GridValues) -> GridValues:
@@ -332,20 +333,15 @@ class AnomalyTest(eqx.Module):
         person = jnp.where(state.forbidden, collect(found.person), 0.0)
         return collect(found.change), person
 
-    def add_attention(
-        self, state: Anomalies, field: InformationField, grid: OccupancyGrid
+    def add_information(
+        self, own: Anomalies, field: InformationField, grid: OccupancyGrid, sensor: Sensor
     ) -> InformationField:
         """Return an information field that leads to the place of the oldest open suspicion.
 
         Nodes from which a second look is possible get the greatest information of the field.
         Elsewhere it is less by the share `attention`. A field without such nodes stays as it is.
-
-        Args:
-            state: state of the search.
-            field: the information field.
-            grid: the robot's map, for lines of sight.
         """
-        reports = state.reports
+        reports = own.reports
         oldest = jnp.argmin(jnp.where(reports.is_open, reports.suspected, jnp.inf))
         place, seen_from = reports.place[oldest], reports.seen_from[oldest]
         height, width = field.total.shape

@@ -1,11 +1,14 @@
 """Track how long ago each cell was observed, for search and patrol."""
 
-import equinox as eqx
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jax.scipy.special import entr
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, GridMask, GridValues, Scalar
+from jaxplore.belief.part import Observation, Part
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 NEVER = float("inf")
 """Idleness of a cell that was never observed [s]."""
@@ -13,7 +16,7 @@ MOST_DOUBLINGS = 5.0
 """Number of doublings after which the interest of a cell stays the same."""
 
 
-class IdlenessMap(eqx.Module):
+class IdlenessMap(Part):
     """Idleness of each cell, the time since it was observed, and the information of observing it.
 
     Right after an observation, a cell is known to hold no target. After a time t without an
@@ -48,6 +51,8 @@ class IdlenessMap(eqx.Module):
             memory.
     """
 
+    name: ClassVar[str] = "watch"
+
     memory: Scalar | None
     weight: Scalar
     doubling: Scalar | None
@@ -66,11 +71,15 @@ class IdlenessMap(eqx.Module):
             if self.memory is None:
                 raise ValueError("memory is None; accepted: a time [s], with a time of doubling")
 
-    def init(self, shape: tuple[int, int]) -> GridValues:
-        """Return the idleness (H, W) of cells that were never observed [s]."""
+    def init(self, grid: OccupancyGrid) -> GridValues:
+        """Return the idleness (H, W) of the cells of a map that were never observed [s]."""
         if self.doubling is None or self.memory is None:
-            return jnp.full(shape, NEVER)
-        return jnp.full(shape, self.memory)
+            return jnp.full(grid.shape, NEVER)
+        return jnp.full(grid.shape, self.memory)
+
+    def observe(self, own: GridValues, observation: Observation) -> GridValues:
+        """Return the idleness (H, W) after a scan [s]; see `update`."""
+        return self.update(own, observation.is_seen, observation.elapsed)
 
     def update(self, idleness: GridValues, is_seen: GridMask, elapsed: Scalar) -> GridValues:
         """Return the idleness (H, W) after a scan [s].
@@ -82,8 +91,9 @@ class IdlenessMap(eqx.Module):
         """
         return jnp.where(is_seen, 0.0, idleness + elapsed)
 
-    def interest(self, idleness: GridValues) -> GridValues:
-        """Return the information (H, W) of observing each cell [nat]."""
+    def interest(self, own: GridValues) -> GridValues:
+        """Return the information (H, W) of observing each cell [nat], from their idleness."""
+        idleness = own
         # Without forgetting only cells that were never observed are uncertain. expm1 keeps the
         # digits of short times.
         if self.memory is None:

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,9 +15,11 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Position, Scalar
 from jaxplore._xla import on_device
+from jaxplore.belief.part import Part
 from jaxplore.belief.sight import is_in_sight
 from jaxplore.information.field import InformationField
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.detector import Detections, Detector, check_distributions
 
 LEAST_ENTROPY = 1e-3
@@ -65,7 +68,15 @@ class ObjectClasses(eqx.Module):
         return jnp.sum(entr(self.probability), axis=-1)
 
 
-class Recognition(eqx.Module):
+class Look(NamedTuple):
+    """What the detector says of N objects, measured (N, 2) and robot position (2,) [m]."""
+
+    detections: Detections
+    places: Float[Array, "N 2"]
+    position: Position
+
+
+class Recognition(Part):
     """Update of the classes of objects by a detector, and the information of one more look.
 
     A look at an object has an outcome z of `Detector`: a label, or a miss. Bayes' rule gives
@@ -105,6 +116,8 @@ class Recognition(eqx.Module):
             detector's, a number out of its range.
     """
 
+    name: ClassVar[str] = "detector"
+
     detector: Detector
     log_prior: Float[Array, " C"]
     certainty: Scalar
@@ -135,8 +148,8 @@ class Recognition(eqx.Module):
         label = detector.classes[0] if target is None else target
         self.target = on_device(np.asarray(detector.index_of("target", label), np.int32))
 
-    def init(self, num_objects: int) -> ObjectClasses:
-        """Return the state before the first look.
+    def init_slots(self, num_objects: int) -> ObjectClasses:
+        """Return the state before the first look, which the task gives for its objects.
 
         Args:
             num_objects: number of slots, N.
@@ -156,23 +169,15 @@ class Recognition(eqx.Module):
             reported_probability=jnp.zeros((number, count)),
         )
 
-    def update(
-        self,
-        state: ObjectClasses,
-        detections: Detections,
-        places: Float[Array, "N 2"],
-        position: Position,
-        time: Scalar,
-    ) -> ObjectClasses:
+    def look(self, own: ObjectClasses, measured: Look, time: Scalar) -> ObjectClasses:
         """Return the state after an image.
 
         Args:
-            state: the state before.
-            detections: what the detector says of each object.
-            places: (N, 2) measured positions of the objects [m]; those of detected ones are read.
-            position: position of the robot [m].
+            own: the state before.
+            measured: what the detector says; of the places those of detected objects are read.
             time: time since the start [s].
         """
+        state, (detections, places, position) = own, measured
         moved = jnp.linalg.norm(position - state.viewed_from, axis=-1)
         is_look = detections.is_viewed & (moved >= self.baseline)
         is_hit = is_look & (detections.label < self.detector.num_classes)
@@ -223,16 +228,10 @@ class Recognition(eqx.Module):
         return jnp.maximum(jnp.sum(entr(outcome)) - jnp.sum(probability * given_class), 0.0)
 
     def add_information(
-        self, state: ObjectClasses, field: InformationField, grid: OccupancyGrid, max_range: float
+        self, own: ObjectClasses, field: InformationField, grid: OccupancyGrid, sensor: Sensor
     ) -> InformationField:
-        """Return an information field with the information of looks at the objects.
-
-        Args:
-            state: the classes of the objects.
-            field: the information field.
-            grid: the robot's map, for lines of sight.
-            max_range: greatest range of the camera [m].
-        """
+        """Return an information field with the information of looks at the objects."""
+        state, max_range = own, sensor.max_range
         shape, reach = field.total.shape, math.ceil(max_range / field.frame.resolution)
         # Only these nodes around an object can be in range of it.
         size = tuple(min(side, 2 * reach + 1) for side in shape)

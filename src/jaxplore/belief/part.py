@@ -1,0 +1,144 @@
+"""The protocol of a part: a capability of a robot beside its map."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+
+from jaxplore import _kinds
+from jaxplore._types import GridMask, GridValues, Pose, Scalar
+from jaxplore.information.field import InformationField
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.beams import Scan
+
+
+class Observation(NamedTuple):
+    """A scan of the first sensor that is in the map, as the parts of a robot see it.
+
+    Args:
+        sensor: the first sensor.
+        grid: the map after its scan, before those of the other sensors.
+        scan: the scan.
+        is_seen: (H, W) cells that it observed.
+        pose: pose (x, y, yaw) of the robot [m, m, rad].
+        elapsed: time since the last scans [s].
+        time: time since the start [s]; None for the sum of the times elapsed.
+    """
+
+    sensor: Sensor
+    grid: OccupancyGrid
+    scan: Scan
+    is_seen: GridMask
+    pose: Pose
+    elapsed: Scalar
+    time: Scalar | None
+
+
+class Part(eqx.Module):
+    """A capability of a robot: what it knows beside the map, and what that adds to the fields.
+
+    A `Perception` has parts. The state of each is in `Belief.parts` under its `name`. All methods
+    have a default that does nothing, so a part writes those that it needs. A part is traced: what
+    it returns has the same shapes at every step.
+    """
+
+    name: ClassVar[str]
+    """Name of the part, under which its state is kept; no two parts of a robot share one."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Names of the parts that must come before it."""
+    is_revisiting: ClassVar[bool] = True
+    """Whether places must be seen again for it, so that none is given up."""
+
+    def check(self, sensors: Sequence[Sensor], ground: Ground | None) -> None:
+        """Check that a robot with these sensors on this ground can have the part.
+
+        Args:
+            sensors: sensors of the robot.
+            ground: ground of the map; None if it is level.
+
+        Raises:
+            ValueError: it cannot.
+        """
+
+    def init(self, grid: OccupancyGrid) -> Any:
+        """Return the state before the first scan; None if the task gives one, or none is kept.
+
+        Args:
+            grid: the map that the robot knows in advance.
+        """
+        return None
+
+    def observe(self, own: Any, observation: Observation) -> Any:
+        """Return the state after a scan that was mapped.
+
+        Args:
+            own: the state before.
+            observation: the scan.
+        """
+        return own
+
+    def look(self, own: Any, measured: Any, time: Scalar) -> Any:
+        """Return the state after a measurement by an instrument of the part's own.
+
+        Args:
+            own: the state before.
+            measured: what the instrument says.
+            time: time since the start [s].
+        """
+        return own
+
+    def interest(self, own: Any) -> GridValues | None:
+        """Return the information of seeing each cell (H, W) beside that on the map [nat], or None.
+
+        Args:
+            own: the state.
+        """
+        return None
+
+    def add_information(
+        self, own: Any, field: InformationField, grid: OccupancyGrid, sensor: Sensor
+    ) -> InformationField:
+        """Return the information field with what the part adds to it.
+
+        Args:
+            own: the state.
+            field: the field.
+            grid: the robot's map.
+            sensor: the first sensor.
+        """
+        return field
+
+    @property
+    def adds_information(self) -> bool:
+        """Whether the part changes the field itself: such a field is made anew at each update."""
+        return type(self).add_information is not Part.add_information
+
+
+def as_parts(
+    parts: Sequence[Part], sensors: Sequence[Sensor], ground: Ground | None
+) -> tuple[Part, ...]:
+    """Return the parts of a robot as a tuple.
+
+    Raises:
+        ValueError: something that is no part, two of one name, one without another that it needs,
+            or one that sensors or ground do not allow.
+    """
+    if not isinstance(parts, (list, tuple)):
+        _kinds.instance("parts", parts, list, tuple)
+    _kinds.instances("parts", parts, Part)
+    names: list[str] = []
+    for index, each in enumerate(parts):
+        if each.name in names:
+            raise ValueError(
+                f"parts[{index}] is a second {each.name!r}; accepted: one part of a name"
+            )
+        missing = [name for name in each.needs if name not in names]
+        if missing:
+            raise ValueError(
+                f"parts has no {missing[0]!r} before {each.name!r}; accepted: both, in this order"
+            )
+        each.check(sensors, ground)
+        names.append(each.name)
+    return tuple(parts)
