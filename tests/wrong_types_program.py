@@ -27,6 +27,7 @@ from jaxplore import (
     information,
     localisation,
     maps,
+    parts,
     planning,
     sensing,
     simulation,
@@ -35,7 +36,7 @@ from wrong_types_bounds import bounds
 from wrong_types_methods import WRONG, methods, outcome, traced
 
 PACKAGES = (jx, belief, control, costs, dynamics, geometry, information, maps, planning, sensing)
-PACKAGES += (simulation, localisation)
+PACKAGES += (parts, simulation, localisation)
 
 RECORDS = {
     "Anomalies",

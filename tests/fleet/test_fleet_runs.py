@@ -14,6 +14,7 @@ from jaxplore.control.fleet_controller import FleetController, same_for_all
 from jaxplore.control.guard import MotionGuard
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.maps.clearance import clearance_field
+from jaxplore.parts import IdlenessMap
 from jaxplore.report.compute import Timing
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
@@ -47,16 +48,25 @@ def mixed(alone, drive, run):
     """Return what makes state and records of robots of two kinds, whose starts have an order.
 
     They are two differential drives, and between them a unicycle of another size with another
-    lidar. They look for two targets, one in their room and one in the other.
+    lidar. They look for two targets, one in their room and one in the other, and keep watch.
     """
     robot = Unicycle(max_speed=0.8, radius=0.12)
     lidar = Lidar(num_beams=24, max_range=1.2)
-    perception = Perception(lidar, 0.1, 0.12, num_directions=4, max_clearance=0.5)
+    numbers = {"num_directions": 4, "max_clearance": 0.5, "parts": [IdlenessMap(20.0)]}
+    perception = Perception(lidar, 0.1, 0.12, **numbers)
     rates = {"control_rate": 20.0, "field_rate": 4.0}
     other = ExplorationScenario(
         alone.world, robot, lidar, STARTS[1], perception=perception, targets=TARGETS, **rates
     )
-    alone = eqx.tree_at(lambda each: each.targets, alone, other.targets)
+    alone = ExplorationScenario(
+        alone.world,
+        alone.robot,
+        alone.sensors,
+        STARTS[0],
+        perception=Perception(alone.sensors, 0.1, alone.robot.radius, **numbers),
+        targets=TARGETS,
+        **rates,
+    )
     one = drive(has_others=True)
     cost = MovingObstacleCost(nearness=None, clearance=0.6)
     two = explorer(
@@ -103,6 +113,22 @@ def test_robots_of_different_kinds_explore_together(mixed) -> None:
     merged = [np.asarray(each) for each in state.task.team.merged]
     for each in merged[1:]:
         np.testing.assert_allclose(each, merged[0], atol=2e-5)
+
+
+def test_a_cell_that_one_robot_sees_is_seen_for_all(mixed) -> None:
+    """The last exchange was in step 38 of 50, and the last scan in step 48."""
+    fleet, state, records = mixed((0, 1, 2))
+    idle = np.stack([each.belief.parts["watch"] for each in state.task.members])
+    since = (48 - 38) * 0.05 + 1e-3
+    # What nobody has seen since then is equally old for all.
+    is_old = (idle > since).all(axis=0)
+    assert (np.isfinite(idle[0]) & is_old).sum() > 20
+    np.testing.assert_allclose(idle[:, is_old], idle[:1, is_old].repeat(3, 0), atol=1e-3)
+    reachable = np.asarray(fleet.members[0].map_arrays.reachable)
+    least = np.minimum(idle.min(axis=0), 48 * 0.05)[reachable]
+    np.testing.assert_allclose(records.mean_idleness[-1], least.mean(), rtol=1e-4)
+    np.testing.assert_allclose(records.worst_idleness[-1], least.max(), rtol=1e-4)
+    assert state.task.members[0].own.belief.parts.keys() == {"watch"}
 
 
 def test_a_target_counts_when_any_robot_has_it_in_sight(mixed) -> None:
@@ -222,6 +248,47 @@ def test_metrics_are_those_of_all_robots(recording) -> None:
     assert "2, coordination: claims" in str(metrics)
 
 
+def test_a_patrol_is_judged_by_its_idleness(recording, tmp_path) -> None:
+    steps = recording.num_steps
+    mean = np.linspace(0.0, 4.0, steps, dtype=np.float32)
+    patrol = dataclasses.replace(
+        recording,
+        records=recording.records._replace(mean_idleness=mean, worst_idleness=3.0 * mean),
+        idleness=np.where(recording.world > 0.5, np.inf, 2.0),
+        initial_unknown=0.0,
+        target_coverage=None,
+    )
+    metrics = patrol.metrics()
+    assert metrics.mean_idleness == pytest.approx(mean[steps // 2 :].mean())
+    assert metrics.worst_idleness == pytest.approx(12.0)
+    rows = dict(metrics.rows())
+    assert rows["map"] == "known in advance"
+    assert rows["idleness"] == "3.0 s, 12.0 s at worst, in the second half"
+    assert rows["duration"] == "5.00 s, 100 steps"
+    assert set(patrol.figures()) == {"map", "idleness"}
+    figure = patrol.figures()["idleness"]()
+    figure.savefig(tmp_path / "idleness.png")
+    names = [each.get_text() for each in figure.legends[0].get_texts()]
+    assert names[:2] == ["robot 1", "robot 2"]
+    patrol.frame_image(patrol.frames[-1])
+    assert patrol.metrics().series()["idleness"][-1] == pytest.approx(4.0)
+
+
+def test_vehicles_that_tip_over_are_counted(recording) -> None:
+    tipped = np.zeros((recording.num_steps, 2), bool)
+    tipped[30:, 1] = True
+    load = np.where(tipped, 1.5, 0.4).astype(np.float32)
+    travel = np.zeros_like(load)
+    travel[5:8, 0] = 1.2
+    records = recording.records._replace(is_tipped=tipped, load_transfer=load, wheel_travel=travel)
+    metrics = dataclasses.replace(recording, records=records).metrics()
+    assert metrics.num_tipped == 1
+    assert metrics.tipped_at == pytest.approx(31 * recording.control_period)
+    assert metrics.load_transfer == pytest.approx(1.5)
+    assert metrics.hanging_steps == 3
+    assert recording.metrics().num_tipped == 0
+
+
 def test_contacts_count_once_while_they_last(recording) -> None:
     touched = np.array(recording.records.is_contact)
     touched[10:20], touched[40, 1] = True, True
@@ -287,9 +354,15 @@ def test_starts_are_chosen_near_one_another_and_always_the_same(alone) -> None:
 def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
     with pytest.raises(ValueError, match=r"guard of robots\[0\] is given"):
         Fleet(alone.with_guard(MotionGuard()), STARTS[:2])
-    endless = eqx.tree_at(lambda each: each.ends_by, alone, jnp.int32(3))
-    with pytest.raises(ValueError, match=r"target of robots\[0\] is 'never'; accepted in a fleet"):
-        Fleet(endless, STARTS[:2])
+    walls = eqx.tree_at(lambda each: each.ends_by, alone, jnp.int32(2))
+    with pytest.raises(ValueError, match=r"target of robots\[0\] is 'walls'; accepted in a fleet"):
+        Fleet(walls, STARTS[:2])
+    watch = Perception(alone.sensors, 0.1, alone.robot.radius, parts=[IdlenessMap()])
+    other = ExplorationScenario(
+        alone.world, alone.robot, alone.sensors, STARTS[0], perception=watch, control_rate=20.0
+    )
+    with pytest.raises(ValueError, match=r"parts of robots\[1\] are \[\]; accepted: .*'watch'"):
+        Fleet([other, alone], STARTS[:2])
     with pytest.raises(ValueError, match=r"exchange_rate is 7\.0; accepted: a whole fraction"):
         Fleet(alone, STARTS[:2], exchange_rate=7.0)
     controller, scenario = fleet()
@@ -338,8 +411,9 @@ def test_bad_settings_of_a_fleet_get_one_line(fails) -> None:
     assert "fleet.robots is 3 beside a path" in fails("run", "path", "--robots", "3")
 
 
-@pytest.mark.parametrize("target", ["information", "never"])
+@pytest.mark.parametrize("target", ["information", "walls"])
 def test_a_fleet_says_that_it_ends_by_coverage_alone(target: str, fails, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    said = fails("run", "fleet", "--set", f"target={target}")
-    assert f"target is '{target}'; accepted in a fleet: coverage" in said
+    more = ["--set", "target_coverage=0.9"] if target == "walls" else []
+    said = fails("run", "fleet", "--set", f"target={target}", *more)
+    assert f"target is '{target}'; accepted in a fleet: coverage, never" in said

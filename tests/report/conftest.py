@@ -457,6 +457,7 @@ def fleet_run(recording: ExplorationRecording) -> FleetRecording:
         resolution=0.5,
         start=start,
         state_names=("x_1", "y_1", "yaw_1", "x_2", "y_2", "yaw_2"),
+        initial_unknown=0.9,
         initial_coverage=0.0,
         target_coverage=0.9,
         finished_step=None,

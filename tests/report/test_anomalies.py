@@ -11,7 +11,7 @@ from jaxplore.report.drawing.picture import WIDTH
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.anomalies import find_report_times, matches, middles
 from jaxplore.report.exploration.canvas import make_canvas
-from jaxplore.report.exploration.data import AnomalyData
+from jaxplore.report.exploration.mission import AnomalyData
 from jaxplore.report.exploration.plots import map_figure
 from jaxplore.report.recording_arrays import pack_recording, unpack_recording
 from jaxplore.simulation.exploration.planted_anomalies import find_anomalies

@@ -9,7 +9,7 @@ from jaxplore.report.drawing.colours import ALARM, TARGET
 from jaxplore.report.drawing.picture import WIDTH
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
-from jaxplore.report.exploration.data import ObjectData
+from jaxplore.report.exploration.mission import ObjectData
 from jaxplore.report.exploration.objects import class_colours
 from jaxplore.report.exploration.plots import map_figure
 from jaxplore.report.recording_arrays import pack_recording, unpack_recording

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+from jaxtyping import Array, Bool
 
 from jaxplore import _kinds
 from jaxplore._types import GridMask, GridValues, Pose, Scalar
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.information.field import InformationField
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -25,6 +27,7 @@ class Observation(NamedTuple):
         pose: pose (x, y, yaw) of the robot [m, m, rad].
         elapsed: time since the last scans [s].
         time: time since the start [s]; None for the sum of the times elapsed.
+        obstacles: moving obstacles that the robot knows; None without any.
     """
 
     sensor: Sensor
@@ -34,6 +37,7 @@ class Observation(NamedTuple):
     pose: Pose
     elapsed: Scalar
     time: Scalar | None
+    obstacles: Obstacles | None = None
 
 
 class Part(eqx.Module):
@@ -109,6 +113,31 @@ class Part(eqx.Module):
             sensor: the first sensor.
         """
         return field
+
+    def merge(self, own: Any, told: Any, is_heard: Bool[Array, " N"]) -> Any:
+        """Return the state of a robot after the robots of its fleet have told it theirs.
+
+        They tell it again and again, in any order, so nothing may count twice: least, greatest and
+        newest values are merged, sums are not. A part that does not override it has no place in a
+        fleet.
+
+        Args:
+            own: the state.
+            told: states of N robots, stacked along a first axis.
+            is_heard: (N,) which of them the robot hears.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no merge")
+
+    def check_fleet(self) -> None:
+        """Check that a robot of a fleet can have the part.
+
+        Raises:
+            ValueError: it cannot.
+        """
+        if type(self).merge is Part.merge:
+            raise ValueError(
+                f"{self.name} is a {type(self).__name__}; accepted in a fleet: parts with `merge`"
+            )
 
     @property
     def adds_information(self) -> bool:

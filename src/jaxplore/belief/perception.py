@@ -337,7 +337,8 @@ class Perception(BeliefFields):
             sighting = sensor.sight(grid, scan, pose, self.ground)
             grid = update_grid(grid, sighting, self.sensor_model)
             if index == 0:
-                seen = Observation(sensor, grid, scan, sighting.is_seen, pose, passed, now)
+                given = (sensor, grid, scan, sighting.is_seen, pose, passed, now)
+                seen = Observation(*given, belief.obstacles)
                 known = {part.name: part.observe(own, seen) for part, own in self._known(states)}
                 states = {**states, **known}
         clearance = update_clearance(

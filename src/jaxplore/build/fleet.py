@@ -47,9 +47,9 @@ def build_fleet(
         ValueError: a target that a fleet does not end by, more robots than there is room for,
             starts that are not possible, or another number of them.
     """
-    if settings.target not in (None, "coverage"):
+    if settings.target not in (None, "coverage", "never"):
         raise ValueError(
-            f"target is {settings.target!r}; accepted in a fleet: coverage, because another robot "
+            f"target is {settings.target!r}; accepted in a fleet: coverage, never: another robot "
             "may know what one has left to learn"
         )
     if given.starts is None:

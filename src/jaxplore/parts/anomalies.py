@@ -8,12 +8,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_LOOKS
 from jaxplore._types import ArrayLike, Flag, GridMask, GridValues, Pose, Rows, Scalar
 from jaxplore._xla import on_device
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.part import Observation, Part
 from jaxplore.belief.sight import is_in_sight
 from jaxplore.information.field import InformationField
@@ -37,6 +38,11 @@ from jaxplore.sensing.lidar import Lidar
 
 LEAST_NOISE = 0.01
 """Least standard deviation of a range in the test [m]: without noise densities are infinite."""
+
+
+MATE_REACH = 0.4
+"""Distance from the outline of another robot of the fleet within which a beam ends at it [m]: it
+moves between its word and the scan."""
 
 
 class Anomalies(eqx.Module):
@@ -206,9 +212,10 @@ class AnomalyTest(Part):
 
     def observe(self, own: Anomalies, observation: Observation) -> Anomalies:
         """Return the state after a scan."""
-        state, (sensor, grid, scan, is_seen, pose, elapsed, time) = own, observation
+        state, (sensor, grid, scan, is_seen, pose, elapsed, time, others) = own, observation
         time = state.time + elapsed if time is None else time
-        gathered = self.add_evidence(state, sensor, grid, scan, pose)
+        is_mate = find_mate_beams(others, sensor, scan, pose)
+        gathered = self.add_evidence(state, sensor, grid, scan, pose, is_mate)
         # Most scans raise no alarm, and nothing waits for a second look.
         is_quiet = ~state.reports.is_open.any() & ~gathered.has_alarm
         after: Anomalies = jax.lax.cond(
@@ -221,10 +228,16 @@ class AnomalyTest(Part):
         return dataclasses.replace(after, time=time)
 
     def add_evidence(
-        self, state: Anomalies, sensor: Sensor, grid: OccupancyGrid, scan: Scan, pose: Pose
+        self,
+        state: Anomalies,
+        sensor: Sensor,
+        grid: OccupancyGrid,
+        scan: Scan,
+        pose: Pose,
+        is_left_out: Bool[Array, " B"] | None = None,
     ) -> Anomalies:
         """Return the state with the evidence of a scan, and the same reports; see `evidence`."""
-        change, person = self.evidence(state, sensor, grid, scan, pose)
+        change, person = self.evidence(state, sensor, grid, scan, pose, is_left_out)
 
         def accumulate(before: GridValues, more: GridValues) -> GridValues:
             grown = jnp.clip(before + more, 0.0, 2.0 * state.threshold)
@@ -293,7 +306,13 @@ class AnomalyTest(Part):
         )
 
     def evidence(
-        self, state: Anomalies, sensor: Sensor, grid: OccupancyGrid, scan: Scan, pose: Pose
+        self,
+        state: Anomalies,
+        sensor: Sensor,
+        grid: OccupancyGrid,
+        scan: Scan,
+        pose: Pose,
+        is_left_out: Bool[Array, " B"] | None = None,
     ) -> tuple[GridValues, GridValues | None]:
         """Return the sums of log-likelihood ratios (H, W) of one scan, of changes and of persons.
 
@@ -303,6 +322,7 @@ class AnomalyTest(Part):
             grid: a grid with the frame of the map.
             scan: the scan.
             pose: pose (x, y, yaw) of the robot [m, m, rad].
+            is_left_out: (B,) beams that say nothing; none when absent.
         """
         known = grid.with_probability(state.known)
         turn = pose[2] - grid.frame.origin[2]
@@ -322,7 +342,10 @@ class AnomalyTest(Part):
         )
         height, width = grid.shape
         index = cells.cell[..., 0] * width + cells.cell[..., 1]
-        index = jnp.where(grid.contains(cells.cell), index, height * width).reshape(-1)
+        is_counted = grid.contains(cells.cell)
+        if is_left_out is not None:
+            is_counted = is_counted & ~is_left_out[:, None]
+        index = jnp.where(is_counted, index, height * width).reshape(-1)
 
         def collect(ratios: Float[Array, "B N"]) -> GridValues:
             total = jnp.zeros(height * width).at[index].add(ratios.reshape(-1), mode="drop")
@@ -363,8 +386,46 @@ class AnomalyTest(Part):
         )
         return result
 
+    def merge(self, own: Anomalies, told: Anomalies, is_heard: Bool[Array, " N"]) -> Anomalies:
+        """Return the state with the reports of other robots; suspicions are each robot's own."""
+        is_report = is_heard[:, None] & jnp.isfinite(told.reports.reported)
+        rows = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), told.reports)
+
+        def add(row: Array, reports: Reports) -> Reports:
+            one: Reports = jax.tree.map(lambda leaf: leaf[row], rows)
+            is_new = is_report.reshape(-1)[row]
+            return reports.add_report(one, is_new, self.radius)
+
+        reports = jax.lax.fori_loop(0, is_report.size, add, own.reports)
+        settled = own.is_settled | (is_heard[:, None, None] & told.is_settled).any(axis=0)
+        person = None if own.person is None else jnp.where(settled, 0.0, own.person)
+        return dataclasses.replace(
+            own,
+            reports=reports,
+            is_settled=settled,
+            change=jnp.where(settled, 0.0, own.change),
+            person=person,
+        )
+
     def _find_forbidden(self, grid: OccupancyGrid) -> GridMask:
         centres = cell_centres(grid)[..., None, :]
         low, high = self.forbidden[:, :2], self.forbidden[:, 2:]
         is_in = ((centres >= low) & (centres <= high)).all(axis=-1).any(axis=-1)
         return is_in & (grid.probability < FREE_THRESHOLD)
+
+
+def find_mate_beams(
+    others: Obstacles | None, sensor: Sensor, scan: Scan, pose: Pose
+) -> Bool[Array, " B"] | None:
+    """Return which beams of a scan from a pose [m, m, rad] end at robots of the fleet.
+
+    These have told where they drive, as nobody else does. None if nobody tells.
+    """
+    if others is None or others.plans is None or others.outlines.number == 0:
+        return None
+    angles = pose[2] + jnp.asarray(sensor.beam_angles)
+    ahead = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
+    ends = pose[:2] + scan.ranges[:, None] * ahead
+    is_mate = others.plans.is_fresh
+    away = jax.vmap(others.outlines.distances)(ends)
+    return ((away <= MATE_REACH) & is_mate).any(axis=-1)

@@ -81,6 +81,27 @@ class Reports(NamedTuple):
             looks=self.looks + is_sighted.astype(jnp.int32),
         )
 
+    def add_report(self, other: "Reports", is_new: Flag, radius: Scalar) -> "Reports":
+        """Return the list with one row of another robot's list, its report of an anomaly.
+
+        What the list has of that kind within `radius` [m] becomes the same report, with the earlier
+        time. Else the report gets an unused row, if there is one.
+        """
+        away = jnp.linalg.norm(self.place - other.place, axis=-1)
+        is_same = is_new & (self.kind == other.kind) & (away <= radius)
+        merged = self._replace(
+            reported=jnp.where(is_same, jnp.minimum(self.reported, other.reported), self.reported)
+        )
+        row = jnp.argmin(merged.kind)
+        is_put = is_new & ~is_same.any() & (merged.kind[row] == 0)
+        at = is_put & (jnp.arange(MAX_REPORTS) == row)
+
+        def put(mine: Array, theirs: Array) -> Array:
+            return jnp.where(at.reshape(-1, *([1] * (mine.ndim - 1))), theirs, mine)
+
+        added: Reports = jax.tree.map(put, merged, other)
+        return added
+
     def drop(self, is_dropped: Bool[Array, " K"]) -> "Reports":
         """Return the list without some of its rows (K,)."""
         return self._replace(

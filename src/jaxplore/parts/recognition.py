@@ -201,6 +201,36 @@ class Recognition(Part):
             reported_probability=jnp.where(is_report, probability, state.reported_probability),
         )
 
+    def merge(
+        self, own: ObjectClasses, told: ObjectClasses, is_heard: Bool[Array, " N"]
+    ) -> ObjectClasses:
+        """Return the classes by the robot that has looked most often, of each object.
+
+        The probabilities of two robots are not multiplied: each may hold looks of the other. First
+        detections and reports are the earliest of all.
+        """
+        heard = is_heard[:, None]
+        looks = jnp.where(heard, told.looks, -1)
+        best, slots = jnp.argmax(looks, axis=0), jnp.arange(own.looks.shape[0])
+        is_better = looks.max(axis=0) > own.looks
+
+        def choose(mine: Array, theirs: Array) -> Array:
+            mask = is_better.reshape(-1, *([1] * (mine.ndim - 1)))
+            return jnp.where(mask, theirs[best, slots], mine)
+
+        merged: ObjectClasses = jax.tree.map(choose, own, told)
+        at = jnp.where(heard[..., None], told.reported_at, jnp.inf)
+        first = jnp.argmin(at, axis=0)[None]
+        probability = jnp.take_along_axis(told.reported_probability, first, axis=0)[0]
+        is_earlier = at.min(axis=0) < own.reported_at
+        detected_at = jnp.where(heard, told.detected_at, jnp.inf).min(axis=0)
+        return dataclasses.replace(
+            merged,
+            detected_at=jnp.minimum(own.detected_at, detected_at),
+            reported_at=jnp.minimum(own.reported_at, at.min(axis=0)),
+            reported_probability=jnp.where(is_earlier, probability, own.reported_probability),
+        )
+
     def posterior(
         self, log_probability: Float[Array, " C"], outcome: Array, distance: Scalar
     ) -> Float[Array, " C"]:

@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 from jax.scipy.special import entr
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, GridMask, GridValues, Scalar
@@ -80,6 +81,13 @@ class IdlenessMap(Part):
     def observe(self, own: GridValues, observation: Observation) -> GridValues:
         """Return the idleness (H, W) after a scan [s]; see `update`."""
         return self.update(own, observation.is_seen, observation.elapsed)
+
+    def merge(
+        self, own: GridValues, told: Float[Array, "N H W"], is_heard: Bool[Array, " N"]
+    ) -> GridValues:
+        """Return the idleness (H, W) [s]: a cell that any of the robots has seen is seen."""
+        heard = jnp.where(is_heard[:, None, None], told, NEVER)
+        return jnp.minimum(own, heard.min(axis=0))
 
     def update(self, idleness: GridValues, is_seen: GridMask, elapsed: Scalar) -> GridValues:
         """Return the idleness (H, W) after a scan [s].

@@ -194,14 +194,19 @@ class Metrics(abc.ABC):
                 rows.append((name.replace("_", " "), shown))
         return rows + self.last_rows()
 
-    def duration_row(self) -> tuple[str, str]:
-        """Return the row of the duration and of how the run ended."""
+    def duration_row(self, *, has_end: bool = True) -> tuple[str, str]:
+        """Return the row of the duration and of how the run ended.
+
+        Args:
+            has_end: whether the task has an end; a patrol can be neither finished nor unfinished.
+        """
         end = "not finished"
         if self.finished_at is not None:
             end = f"finished after {self.finished_at:.2f} s"
         elif self.given_up_at is not None:
             end = f"given up after {self.given_up_at:.2f} s"
-        return "duration", f"{self.duration:.2f} s, {self.num_steps} steps, {end}"
+        words = f"{self.duration:.2f} s, {self.num_steps} steps"
+        return "duration", f"{words}, {end}" if has_end else words
 
     def last_rows(self) -> list[tuple[str, str]]:
         """Return the last rows of every table: time, seed and software."""

@@ -43,7 +43,7 @@ from jaxplore.report.exploration.anomalies import find_report_times, middles
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.footer import draw_footer
-from jaxplore.report.exploration.objects import class_colours, draw_objects
+from jaxplore.report.exploration.objects import draw_objects, mission_colours
 from jaxplore.report.exploration.progress import find_carried_steps
 
 NUM_RAYS = 45
@@ -212,12 +212,7 @@ def compute_palette(recording: ExplorationData, pictures: Sequence[Image.Image])
     given += [blend(HEAT, FREE, k / HEAT_LEVELS * MAX_HEAT) for k in range(1, HEAT_LEVELS + 1)]
     if recording.traversable is not None:
         given += [blend(CLOSED, ground, CLOSED_SHARE) for ground in (FREE, UNKNOWN)]
-    if len(recording.targets):
-        given.append(TARGET)
-    if recording.anomalies is not None or recording.objects is not None:
-        given.append(ALARM)
-    if recording.objects is not None:
-        given += [each for each in class_colours(recording.objects) if each != TARGET]
+    given += mission_colours(recording)
     if len(recording.mover_radii):
         given.append(MOVER_EDGE)
     return fit_palette(given, pictures)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxplore.parts.anomaly_reports import KIND_NAMES
 from jaxplore.report._numbers import finite
 from jaxplore.report.drawing.colours import ALARM, shade
-from jaxplore.report.exploration.data import AnomalyData
+from jaxplore.report.exploration.mission import AnomalyData
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ import numpy as np
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.control.base import Members
 from jaxplore.maps.datum import move_points
-from jaxplore.report.recording import Frame, LiveCurves, RunData, move_records, move_states
+from jaxplore.report.exploration.mission import MissionData, MissionFrame
+from jaxplore.report.recording import LiveCurves, move_records, move_states
 
 
 class MapProgress(NamedTuple):
@@ -84,28 +85,6 @@ class ExplorationRecord(NamedTuple):
     is_carried: Flag | None = None
 
 
-class AnomalyData(NamedTuple):
-    """What differs from the known map, and what the robot found of it.
-
-    Args:
-        boxes: (P, 4) rectangles (x_min, y_min, x_max, y_max) of what differs [m].
-        kinds: (P,) kinds, the keys of `parts.anomaly_reports.KIND_NAMES`.
-        place: (R, 2) places that the robot suspected [m].
-        kind: (R,) their kinds.
-        suspected: (R,) times of the suspicions [s].
-        reported: (R,) times of the reports [s]; infinite without a second look.
-        num_cleared: number of suspicions that the second look did not confirm.
-    """
-
-    boxes: np.ndarray
-    kinds: np.ndarray
-    place: np.ndarray
-    kind: np.ndarray
-    suspected: np.ndarray
-    reported: np.ndarray
-    num_cleared: int
-
-
 class LocalisationData(NamedTuple):
     """Where a robot was and took itself to be, and the map of the same scans at the true poses.
 
@@ -135,35 +114,8 @@ class LocalisationData(NamedTuple):
         )
 
 
-class ObjectData(NamedTuple):
-    """Objects of N slots and C classes, and what the robot knew of them at the end.
-
-    Args:
-        classes: names of the classes.
-        target: number of the class of the targets.
-        place: (N, 2) true positions, the targets first [m].
-        label: (N,) numbers of the true classes.
-        probability: (N, C) probability of each class in the belief.
-        detected_at: (N,) times of the first detection [s]; infinite if there was none.
-        looks: (N,) number of looks that counted.
-        reported_at: (N, C) time at which each class was first certain [s]; infinite if it never
-            was.
-        reported_probability: (N, C) its probability then.
-    """
-
-    classes: tuple[str, ...]
-    target: int
-    place: np.ndarray
-    label: np.ndarray
-    probability: np.ndarray
-    detected_at: np.ndarray
-    looks: np.ndarray
-    reported_at: np.ndarray
-    reported_probability: np.ndarray
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ExplorationFrame(Frame):
+class ExplorationFrame(MissionFrame):
     """A snapshot of an exploration run.
 
     Args:
@@ -177,9 +129,6 @@ class ExplorationFrame(Frame):
         heading: heading of the robot [rad].
         reference: (R, 2) reference positions of the plan [m]; empty without a reference.
         movers: (M, 2) positions of the moving obstacles [m].
-        is_found: (K,) whether each target was found so far.
-        classes: (N, C) probability of each class of each object; NaN for objects that were not
-            detected, (0, 0) without a detector.
         terms: value of each cost term for the nominal trajectory.
         sample_terms: cost of each term of the rollouts (N,), by name; empty if they are not known.
         tracks: (N, 2, 2) places of what the robot tracks, now and in a second [m]; NaN for unused
@@ -196,105 +145,64 @@ class ExplorationFrame(Frame):
     heading: float
     reference: np.ndarray
     movers: np.ndarray
-    is_found: np.ndarray
     terms: dict[str, float]
     sample_terms: dict[str, np.ndarray]
-    classes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     tracks: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     places = ("scan", "samples", "plan", "reference", "movers", "tracks")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
-class ExplorationData(RunData):
+class ExplorationData(MissionData):
     """Data of an exploration run: every step, frames, and the true world.
 
     Args:
-        world: (H, W) probability of the true map.
-        belief: (H, W) probability of the robot's map at the end.
-        reachable: (H, W) cells that count for coverage.
-        origin: pose of the grid [m, m, rad].
-        resolution: side of a cell [m].
         field_origin: pose of the lattice of the information field [m, m, rad].
         field_resolution: distance between its nodes [m].
         start: (nx,) state at the start.
-        initial_coverage: coverage before the first step.
         initial_entropy: entropy of the belief over the reachable cells before the first step [nat].
-        initial_unknown: share of unknown cells among the reachable ones before the first step.
         goal: (2,) goal position [m]; None if there is no goal.
-        finished_step: number of steps until the scenario was finished; None if it was not, or was
-            finished before the first step.
-        given_up_step: number of steps until it was given up; None if it was not.
         control_half_range: (nu,) half the range between the bounds of each control.
         state_names: names of the components of the robot's state.
         robot_radius: radius of the robot [m].
-        target_coverage: coverage at which exploration is finished; None if it never is.
         target: what the exploration ends by: coverage, information, walls or never.
         footprint: (4, 2) corners of a robot that is a rectangle, in its own frame [m]; (0, 2) of a
             disc.
-        targets: (M, 2) positions of the targets [m].
         elevation: (H, W) elevation of the ground [m]; None if it is level.
         traversable: (H, W) cells of the ground that may be entered; None if it is level.
-        idleness: (H, W) time since each cell was last seen, at the end [s]; None without an
-            idleness map.
         mover_radii: (M,) radii of the moving obstacles [m].
         member_names: names of the members of a controller that holds several.
-        anomalies: what differs from the known map, and what was found of it; None without a test.
-        objects: objects and their classes; None without a detector.
         localisation: where the robot took itself to be; None if it knew its pose.
     """
 
     records: ExplorationRecord
     frames: tuple[ExplorationFrame, ...]
-    world: np.ndarray
-    belief: np.ndarray
-    reachable: np.ndarray
-    origin: np.ndarray
-    resolution: float
     field_origin: np.ndarray
     field_resolution: float
     start: np.ndarray
-    initial_coverage: float
     initial_entropy: float
-    initial_unknown: float
     goal: np.ndarray | None
-    finished_step: int | None
     control_half_range: np.ndarray
     state_names: tuple[str, ...]
     robot_radius: float
-    target_coverage: float | None
     footprint: np.ndarray
-    targets: np.ndarray
     elevation: np.ndarray | None
     traversable: np.ndarray | None
-    idleness: np.ndarray | None
     mover_radii: np.ndarray
     member_names: tuple[str, ...]
-    anomalies: AnomalyData | None = None
-    objects: ObjectData | None = None
-    given_up_step: int | None = None
     localisation: LocalisationData | None = None
     target: str = "coverage"
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that are or have positions, with an offset (2,) [m] added."""
-        found, objects, place = self.anomalies, self.objects, self.localisation
-        if found is not None:
-            boxes = move_points(move_points(found.boxes, offset), offset, (2, 3))
-            found = found._replace(boxes=boxes, place=move_points(found.place, offset))
-        if objects is not None:
-            objects = objects._replace(place=move_points(objects.place, offset))
+        place = self.localisation
         return {
             "records": move_records(self.records, offset, self.state_names),
             "start": move_states(self.start, offset, self.state_names),
             "goal": None if self.goal is None else move_points(self.goal, offset),
-            "anomalies": found,
-            "objects": objects,
+            **self.move_mission(offset),
             "localisation": None if place is None else place.move(offset),
-            **{
-                name: move_points(getattr(self, name), offset)
-                for name in ("origin", "field_origin", "targets")
-            },
+            "field_origin": move_points(self.field_origin, offset),
         }
 
     @property
@@ -313,3 +221,8 @@ class ExplorationData(RunData):
         """Positions (N + 1, 2) of the robot, the start included [m]."""
         states = np.concatenate([self.start[None], self.records.state])
         return states[:, [self.state_names.index("x"), self.state_names.index("y")]]
+
+    @property
+    def last_positions(self) -> np.ndarray:
+        """Position (1, 2) of the robot at the end [m]."""
+        return self.positions[-1:]

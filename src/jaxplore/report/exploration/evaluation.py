@@ -6,20 +6,14 @@ import numpy as np
 
 from jaxplore.control.stops import REASONS
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
-from jaxplore.report._numbers import finite
+from jaxplore.report._numbers import finite, finite_mean
 from jaxplore.report.coverage_levels import at_instants, reach_levels
-from jaxplore.report.exploration.anomalies import anomaly_metrics
-from jaxplore.report.exploration.data import ExplorationData, ExplorationRecord
+from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.localisation import localisation_metrics
 from jaxplore.report.exploration.metrics import ExplorationMetrics
-from jaxplore.report.exploration.missions import (
-    fusion_means,
-    idleness,
-    last_target_at,
-    member_means,
-)
-from jaxplore.report.exploration.objects import object_metrics
+from jaxplore.report.exploration.mission_metrics import mission_curves, mission_metrics
 from jaxplore.report.exploration.progress import longest_stall, progress
+from jaxplore.report.exploration.wheels import wheel_metrics
 from jaxplore.report.metrics import thin_series
 from jaxplore.report.motion import command_jerk, episodes
 
@@ -39,13 +33,9 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         "entropy": entropy,
         "path": path,
         "unknown": unknown,
+        **mission_curves(recording),
     }
-    if len(recording.targets):
-        curve["targets"] = at_instants(records.targets_seen, 0.0)
-    if recording.idleness is not None:
-        curve["idleness"] = at_instants(records.mean_idleness, 0.0)
     finished_at, given_up = _find_finish(recording, float(coverage[-1])), recording.given_up_step
-    mean_idleness, worst_idleness = idleness(recording)
     diversity, replaced = fusion_means(recording)
     return ExplorationMetrics(
         **recording.common_metrics(finished_at=finished_at, seed=seed),
@@ -77,17 +67,11 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         minimum_effective_sample_size=finite(np.min(sample_size, initial=np.inf)),
         non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
         untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
-        **_wheels(records, period),
-        num_targets=len(recording.targets),
-        targets_seen=int(records.targets_seen[-1]) if steps else 0,
-        last_target_at=last_target_at(recording),
-        mean_idleness=mean_idleness,
-        worst_idleness=worst_idleness,
+        **wheel_metrics(records, period),
+        **mission_metrics(recording),
         members=member_means(recording),
         diversity=diversity,
         replaced=replaced,
-        **anomaly_metrics(recording.anomalies),
-        **object_metrics(recording.objects),
         **localisation_metrics(recording),
         reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
         longest_stall=longest_stall(recording.positions, coverage) * period,
@@ -102,20 +86,6 @@ def _stops(stop: Any) -> tuple[dict[str, int], int]:
     codes = np.asarray(stop)
     numbers = {reason: episodes(codes == code) for code, reason in enumerate(REASONS) if code > 0}
     return {reason: number for reason, number in numbers.items() if number}, int((codes > 0).sum())
-
-
-def _wheels(records: ExplorationRecord, period: float) -> dict[str, Any]:
-    """Return the metrics of a vehicle on its wheels, by name."""
-    transfer, travel = records.load_transfer, records.wheel_travel
-    if records.is_tipped is None or transfer is None or travel is None:
-        return {"tipped_at": None, "load_transfer": None, "hanging_steps": 0}
-    tipped = _first(np.asarray(records.is_tipped, bool))
-    return {
-        # The record of step k holds what is true at its end.
-        "tipped_at": None if tipped is None else (tipped + 1) * period,
-        "load_transfer": finite(np.max(np.asarray(transfer), initial=0.0)),
-        "hanging_steps": int((np.asarray(travel) > 1.0).sum()),
-    }
 
 
 def _find_finish(recording: ExplorationData, coverage: float) -> float | None:
@@ -151,3 +121,33 @@ def _goal_distance(recording: ExplorationData) -> float | None:
 
 def _first(mask: np.ndarray) -> int | None:
     return int(mask.argmax()) if mask.any() else None
+
+
+def member_means(recording: ExplorationData) -> dict[str, dict[str, float | None]] | None:
+    """Compute the mean share of each member in the control, and means over its own plans.
+
+    `share`, `uncertainty` [half ranges], `effective_sample_size` and `cost`: means over the steps
+    in which they were finite; None if they never were. None without members or without a step.
+    """
+    members = recording.records.members
+    if members is None or recording.num_steps == 0:
+        return None
+    columns = {
+        "share": members.shares,
+        "uncertainty": members.uncertainties,
+        "effective_sample_size": members.effective_sample_sizes,
+        "cost": members.costs,
+    }
+    return {
+        name: {key: finite_mean(rows[:, number]) for key, rows in columns.items()}
+        for number, name in enumerate(recording.member_names)
+    }
+
+
+def fusion_means(recording: ExplorationData) -> tuple[float | None, float | None]:
+    """Compute the mean diversity of the members' controls [half ranges], and the share of steps in
+    which one member's plan replaced the mixture; None without members or a step."""
+    members = recording.records.members
+    if members is None or recording.num_steps == 0:
+        return None, None
+    return finite_mean(members.diversity), finite_mean(members.is_replaced)

@@ -8,6 +8,7 @@ from jaxplore.report.drawing.footer import EDGE, Footer
 from jaxplore.report.drawing.picture import SUPERSAMPLING
 from jaxplore.report.exploration.canvas import Canvas
 from jaxplore.report.exploration.data import ExplorationFrame
+from jaxplore.report.exploration.mission import MissionData, MissionFrame
 from jaxplore.report.exploration.progress import is_known_map
 
 
@@ -37,12 +38,27 @@ def _draw_judged(canvas: Canvas, frame: ExplorationFrame, footer: Footer, step: 
     """
     recording = canvas.recording
     time, coverage, _, path = canvas.progress
-    if not is_known_map(recording):
-        # Instant 0 has the coverage after the first scan, but the first frame is drawn before it.
-        share = float(coverage[step]) if frame.step else recording.initial_coverage
-        footer.headline(f"{100.0 * share:.1f} %", "covered")
-        footer.curve(time, coverage, step, level=recording.target_coverage)
+    if is_known_map(recording):
+        draw_mission(recording, frame, footer, time, path, step)
         return
+    # Instant 0 has the coverage after the first scan, but the first frame is drawn before it.
+    share = float(coverage[step]) if frame.step else recording.initial_coverage
+    footer.headline(f"{100.0 * share:.1f} %", "covered")
+    footer.curve(time, coverage, step, level=recording.target_coverage)
+
+
+def draw_mission(
+    recording: MissionData,
+    frame: MissionFrame,
+    footer: Footer,
+    time: np.ndarray,
+    path: np.ndarray,
+    step: int,
+) -> None:
+    """Draw what a run on a known map is judged by.
+
+    `time` [s] and `path`, the distance driven until then [m], have one value for each instant.
+    """
     if len(recording.targets):
         values = at_instants(recording.records.targets_seen, 0.0)
         footer.headline(f"{int(np.sum(frame.is_found))}", "targets found")

@@ -8,9 +8,9 @@ from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 from jaxplore.report.coverage_levels import at_instants
 from jaxplore.report.drawing.colours import OCCUPIED, SERIES, shade
 from jaxplore.report.drawing.series import style_time
-from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.map_axes import frame_map
-from jaxplore.report.exploration.missions import find_judged_start
+from jaxplore.report.exploration.mission import MissionData
+from jaxplore.report.exploration.mission_metrics import find_judged_start
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ HEIGHT, CURVE_WIDTH = 3.4, 4.2
 """Height of the panels and width of the time curve [inch]; the map's width follows its shape."""
 
 
-def idleness_figure(recording: ExplorationData) -> "Figure":
+def idleness_figure(recording: MissionData) -> "Figure":
     """Draw a map of the time since each reachable cell was seen, and its mean and worst over time.
 
     Cells that were never seen count from the start. The shaded first half of the run is not part of
@@ -64,16 +64,17 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
     # Without a cell to show, the colour scale has no data for its upper end.
     if not counts.any():
         shown.set_clim(0.0, duration)
-    track = window.place(recording.positions) + window.corner
-    place.plot(
-        *track[-1],
-        marker="s",
-        color=SERIES[0],
-        markersize=8.0,
-        markeredgecolor="white",
-        linestyle="none",
-        label="robot",
-    )
+    ends = window.place(recording.last_positions) + window.corner
+    for number, end in enumerate(ends):
+        place.plot(
+            *end,
+            marker="s",
+            color=SERIES[number % len(SERIES)],
+            markersize=8.0,
+            markeredgecolor="white",
+            linestyle="none",
+            label="robot" if len(ends) == 1 else f"robot {number + 1}",
+        )
     place.set_title("at the end")
     frame_map(place, window)
     figure.colorbar(shown, ax=place, label="not seen for [s]", shrink=0.9, pad=0.02)

@@ -26,7 +26,8 @@ from jaxplore.report.drawing.palette import (
     STRONG,
     TRAIL,
 )
-from jaxplore.report.exploration.data import ExplorationData, ObjectData
+from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.mission import MissionData, ObjectData
 from jaxplore.report.exploration.objects import class_colours, is_false
 from jaxplore.report.exploration.progress import is_known_map
 
@@ -34,7 +35,6 @@ from jaxplore.report.exploration.progress import is_known_map
 def legend_entries(recording: ExplorationData, *, has_closed: bool) -> tuple[Entry, ...]:
     """Return the legend's entries; `has_closed` is set if untraversable ground is drawn."""
     frames = recording.frames
-    has_anomalies = recording.anomalies is not None and len(recording.anomalies.boxes) > 0
     entries = (
         (Entry("robot", ROBOT, "disc"), True),
         (Entry("trail", TRAIL, "line"), recording.num_steps > 0),
@@ -47,15 +47,22 @@ def legend_entries(recording: ExplorationData, *, has_closed: bool) -> tuple[Ent
         (Entry("wall", OCCUPIED), True),
         (Entry("unseen wall", HIDDEN_WALL), not is_known_map(recording)),
         (Entry("goal", REFERENCE, "disc"), recording.goal is not None),
-        (Entry("target", TARGET, "star"), len(recording.targets) > 0),
-        (Entry("target found", TARGET, "found"), len(recording.targets) > 0),
-        *((each, True) for each in _object_entries(recording.objects)),
-        (Entry("anomaly", ALARM, "star"), has_anomalies),
-        (Entry("reported", ALARM, "found"), has_anomalies),
+        *((each, True) for each in mission_entries(recording)),
         (Entry("mover", MOVER, "disc", MOVER_EDGE), len(recording.mover_radii) > 0),
         (Entry("untraversable", blend(CLOSED, FREE, CLOSED_SHARE)), has_closed),
     )
     return tuple(entry for entry, is_drawn in entries if is_drawn)
+
+
+def mission_entries(recording: MissionData) -> tuple[Entry, ...]:
+    """Return the entries of what is looked for beside the map."""
+    entries: list[Entry] = []
+    if len(recording.targets):
+        entries += [Entry("target", TARGET, "star"), Entry("target found", TARGET, "found")]
+    entries += _object_entries(recording.objects)
+    if recording.anomalies is not None and len(recording.anomalies.boxes):
+        entries += [Entry("anomaly", ALARM, "star"), Entry("reported", ALARM, "found")]
+    return tuple(entries)
 
 
 def _object_entries(objects: ObjectData | None) -> tuple[Entry, ...]:

@@ -1,18 +1,20 @@
 """Metrics of an exploration run, and how tables and figures show them."""
 
 import dataclasses
-import math
-from typing import Any
 
 from jaxplore.report._numbers import numbers, percent, text
 from jaxplore.report.coverage_levels import LEVELS
-from jaxplore.report.exploration.anomalies import report_texts
-from jaxplore.report.exploration.objects import object_rows
-from jaxplore.report.metrics import Column, Curve, Metrics
+from jaxplore.report.exploration.mission_metrics import (
+    MISSION_COLUMNS,
+    MISSION_CURVES,
+    MissionMetrics,
+)
+from jaxplore.report.exploration.wheels import WHEEL_COLUMNS, WheelMetrics
+from jaxplore.report.metrics import Column, Curve
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ExplorationMetrics(Metrics):
+class ExplorationMetrics(MissionMetrics, WheelMetrics):
     """Metrics of an exploration run.
 
     Args:
@@ -50,38 +52,11 @@ class ExplorationMetrics(Metrics):
         non_finite_steps: number of steps without a single finite rollout.
         untraversable_steps: number of steps that ended with part of the robot on untraversable
             ground.
-        tipped_at: time at which the vehicle tipped over [s]; None if it did not.
-        load_transfer: greatest load transfer between two pairs of wheels, as a share of the load;
-            None for a robot without a chassis.
-        hanging_steps: number of steps that ended with a wheel in the air.
-        num_targets: number of targets.
-        targets_seen: number of targets that were found: seen, or with a detector reported.
-        last_target_at: time at which the last target was found [s]; None if some were not.
-        mean_idleness: time since each reachable cell was last seen, mean over the cells and the
-            second half of the run [s]: the first half is needed to see everything once. None
-            without an idleness map.
-        worst_idleness: the greatest of these times in the second half [s].
         members: statistics of the members of a controller, by name: mean `share` in the control,
             and means of its `uncertainty` [half ranges], `effective_sample_size` and `cost` where
             they were finite. None of any other controller.
         diversity: mean distance between two members' controls [half ranges].
         replaced: share of the steps in which a member's plan took the place of the mixture.
-        num_anomalies: number of places where the world differs from the known map; 0 without a test
-            for anomalies.
-        anomalies_found: number of them that were reported after a second look, with their kind.
-        false_alarms: number of reports of places where nothing differs.
-        cleared: number of suspicions that the second look did not confirm.
-        last_anomaly_at: time at which the last anomaly was reported [s]; None if some were not.
-        reports: the reports by time: `kind`, `place` [m], `suspected_at` and `reported_at` [s], and
-            whether something `is_planted` there; None without a test for anomalies.
-        num_objects: number of objects, targets included; 0 without a detector.
-        objects_detected: number of them that were detected.
-        false_reports: number of objects that were reported as a target and are none.
-        mislabelled: number of other reports of a class that the object does not have.
-        class_entropy: sum of the entropies of the objects' classes at the end [nat]; None without a
-            detector.
-        labels: the reports by time: `label`, `place` [m], `reported_at` [s], `probability`,
-            `true_label` and `is_true`; None without a detector.
         carried_at: time at which a fault carried the robot away [s]; None if it did not.
         recovered_after: time from then until the error of the position stays below 0.5 m for a
             second [s]; None if it does not.
@@ -127,29 +102,9 @@ class ExplorationMetrics(Metrics):
     minimum_effective_sample_size: float | None
     non_finite_steps: int
     untraversable_steps: int
-    tipped_at: float | None
-    load_transfer: float | None
-    hanging_steps: int
-    num_targets: int
-    targets_seen: int
-    last_target_at: float | None
-    mean_idleness: float | None
-    worst_idleness: float | None
     members: dict[str, dict[str, float | None]] | None
     diversity: float | None
     replaced: float | None
-    num_anomalies: int
-    anomalies_found: int
-    false_alarms: int
-    cleared: int
-    last_anomaly_at: float | None
-    reports: list[dict[str, Any]] | None
-    num_objects: int
-    objects_detected: int
-    false_reports: int
-    mislabelled: int
-    class_entropy: float | None
-    labels: list[dict[str, Any]] | None
     carried_at: float | None = None
     recovered_after: float | None = None
     ate: float | None = None
@@ -179,18 +134,7 @@ class ExplorationMetrics(Metrics):
             104.0,
             applies=lambda each: not each.is_map_known,
         ),
-        Curve(
-            "targets",
-            "targets found",
-            applies=lambda each: each.num_targets > 0,
-            is_count=True,
-        ),
-        # A search is judged by its targets; the idleness only leads it to places not seen lately.
-        Curve(
-            "idleness",
-            "mean idleness [s]",
-            applies=lambda each: each.mean_idleness is not None and not each.num_targets,
-        ),
+        *MISSION_CURVES,
     )
     columns = (
         Column.num_finished(),
@@ -201,38 +145,12 @@ class ExplorationMetrics(Metrics):
         # Without a path there is no information per metre, and it counts as 0.
         Column.quartiles("information_per_metre", "nat/m", missing=0.0),
         Column.quartiles("final_unknown", "unknown [%]", scale=100.0),
-        Column.quartiles("targets_seen", "targets seen", applies=lambda spread: spread[2] > 0.0),
-        Column(
-            "num_targets",
-            "of targets",
-            lambda runs: max(each.num_targets for each in runs),
-            str,
-            lambda most: most > 0,
-        ),
-        Column.quartiles(
-            "mean_idleness", "idle mean [s]", applies=lambda spread: math.isfinite(spread[0])
-        ),
-        Column.quartiles(
-            "worst_idleness", "idle worst [s]", applies=lambda spread: math.isfinite(spread[0])
-        ),
-        Column.quartiles(
-            "anomalies_found", "anomalies found", applies=lambda spread: spread[2] > 0.0
-        ),
-        Column.total("false_alarms", "false alarms", applies=lambda total: total > 0),
-        Column.total("false_reports", "false reports", applies=lambda total: total > 0),
+        *MISSION_COLUMNS,
         Column.total("collisions", "collisions"),
         Column.total(
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
         ),
-        Column.quartiles(
-            "load_transfer",
-            "load transfer",
-            digits=2,
-            missing=math.nan,
-            applies=lambda spread: math.isfinite(spread[1]),
-        ),
-        Column.total("num_tipped", "tipped over", applies=lambda total: total > 0),
-        Column.total("hanging_steps", "wheel in air [steps]", applies=lambda total: total > 0),
+        *WHEEL_COLUMNS,
         Column.total("fault_steps", "faults [steps]", applies=lambda total: total > 0),
         Column.total("stopped_steps", "stopped [steps]", applies=lambda total: total > 0),
         Column.least("minimum_clearance", "clearance [m]"),
@@ -270,7 +188,7 @@ class ExplorationMetrics(Metrics):
             rows.append(("given up", f"nothing new to see; {left} unreachable or hidden"))
         if self.is_interrupted:
             rows.append(("interrupted", "by the user"))
-        rows += [*self._level_rows(), *self._mission_rows(), *self._map_rows()]
+        rows += [*self._level_rows(), *self.mission_rows(), *self._map_rows()]
         sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
         rows += [
             *numbers("command jerk", "{:.1f} ranges/s²", self.command_jerk),
@@ -280,7 +198,7 @@ class ExplorationMetrics(Metrics):
                 if self.untraversable_steps
                 else []
             ),
-            *self._wheel_rows(),
+            *self.wheel_rows(),
             *self._localisation_rows(),
             *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
             ("longest stall", f"{self.longest_stall:.2f} s"),
@@ -293,11 +211,6 @@ class ExplorationMetrics(Metrics):
             *self.last_rows(),
         ]
         return rows
-
-    @property
-    def num_tipped(self) -> int:
-        """Number of times that the vehicle tipped over: 0 or 1, because the run ends there."""
-        return int(self.tipped_at is not None)
 
     @property
     def is_map_known(self) -> bool:
@@ -332,36 +245,6 @@ class ExplorationMetrics(Metrics):
             ("unknown", f"{shares[0]} -> {shares[1]} of the reachable cells"),
             *numbers("information", "{:.1f} nat/m", self.information_per_metre),
         ]
-
-    def _mission_rows(self) -> list[tuple[str, str]]:
-        rows = []
-        if self.num_targets:
-            done = "seen" if self.labels is None else "recognised"
-            seen, last = f"{self.targets_seen} of {self.num_targets} {done}", self.last_target_at
-            rows.append(("targets", seen if last is None else f"{seen}, the last at {last:.2f} s"))
-        # A search is judged by its targets; the idleness only leads it to places not seen lately.
-        elif self.mean_idleness is not None:
-            both = f"{self.mean_idleness:.1f} s, {text(self.worst_idleness, 1)} s at worst"
-            rows.append(("idleness", f"{both}, in the second half"))
-        counts = (self.num_objects, self.objects_detected, self.false_reports, self.mislabelled)
-        return [*rows, *object_rows(self.labels, counts), *self._anomaly_rows()]
-
-    def _anomaly_rows(self) -> list[tuple[str, str]]:
-        if self.reports is None:
-            return []
-        alarms = f"{self.false_alarms} false alarms, {self.cleared} suspicions dropped"
-        rows = [("anomalies", f"{self.anomalies_found} of {self.num_anomalies} found; {alarms}")]
-        return rows + report_texts(self.reports)
-
-    def _wheel_rows(self) -> list[tuple[str, str]]:
-        rows = []
-        if self.load_transfer is not None:
-            rows.append(("load transfer", f"{percent(self.load_transfer)} at most"))
-        if self.hanging_steps:
-            rows.append(("wheel in the air", f"{self.hanging_steps} steps"))
-        if self.tipped_at is not None:
-            rows.append(("tipped over", f"after {self.tipped_at:.2f} s"))
-        return rows
 
     def _localisation_rows(self) -> list[tuple[str, str]]:
         rows = []

@@ -8,7 +8,7 @@ from PIL import ImageDraw
 from jaxplore.report.drawing.colours import ALARM, FREE, TARGET, blend, shade
 from jaxplore.report.drawing.palette import INK, PALE, PAPER, Colour
 from jaxplore.report.drawing.shapes import Surface
-from jaxplore.report.exploration.data import ExplorationFrame, ObjectData
+from jaxplore.report.exploration.mission import MissionData, MissionFrame, ObjectData
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
@@ -40,8 +40,18 @@ def class_colours(objects: ObjectData) -> list[tuple[int, int, int]]:
     ]
 
 
+def mission_colours(recording: MissionData) -> list[Colour]:
+    """Return the colours of targets, objects and anomalies, as far as a run has them."""
+    colours: list[Colour] = [TARGET] if len(recording.targets) else []
+    if recording.anomalies is not None or recording.objects is not None:
+        colours.append(ALARM)
+    if recording.objects is not None:
+        colours += [each for each in class_colours(recording.objects) if each != TARGET]
+    return colours
+
+
 def find_known_objects(
-    objects: ObjectData | None, frame: ExplorationFrame
+    objects: ObjectData | None, frame: MissionFrame
 ) -> list[tuple[np.ndarray, tuple[int, int, int]]]:
     """Return the place and a colour of each object that was detected by the time of a frame.
 
@@ -133,7 +143,7 @@ def object_rows(
 
 
 def draw_objects(
-    surface: Surface, draw: ImageDraw.ImageDraw, objects: ObjectData, frame: ExplorationFrame
+    surface: Surface, draw: ImageDraw.ImageDraw, objects: ObjectData, frame: MissionFrame
 ) -> None:
     """Draw what the robot knows of each object in a frame.
 

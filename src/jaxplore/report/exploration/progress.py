@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxplore.report.coverage_levels import LEVELS, at_instants
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.mission import MissionData
 
 STALL_RADIUS = 0.25
 """Half the side of the square within which a robot counts as stalled [m]."""
@@ -67,7 +68,7 @@ def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
     return longest
 
 
-def is_known_map(recording: ExplorationData) -> bool:
+def is_known_map(recording: MissionData) -> bool:
     """Return whether the map was known in advance, so that its coverage says nothing."""
     # Before the first scan: one scan may see all of a small room.
     return recording.initial_unknown <= 1.0 - LEVELS[-1] / 100

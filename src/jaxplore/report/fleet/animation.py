@@ -8,7 +8,15 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
-from jaxplore.report.drawing.colours import FREE, SERIES, TARGET, UNKNOWN, belief_colours, blend
+from jaxplore.report.drawing.colours import (
+    ALARM,
+    FREE,
+    SERIES,
+    TARGET,
+    UNKNOWN,
+    belief_colours,
+    blend,
+)
 from jaxplore.report.drawing.footer import EDGE, Entry, Footer, footer_height
 from jaxplore.report.drawing.palette import (
     HIDDEN_WALL,
@@ -22,6 +30,11 @@ from jaxplore.report.drawing.palette import (
 )
 from jaxplore.report.drawing.picture import MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, WIDTH
 from jaxplore.report.drawing.shapes import LEAST_RADIUS, draw_line, draw_targets
+from jaxplore.report.exploration.anomalies import find_report_times, middles
+from jaxplore.report.exploration.footer import draw_mission
+from jaxplore.report.exploration.legend import mission_entries
+from jaxplore.report.exploration.objects import draw_objects, mission_colours
+from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.fleet.data import FleetData, FleetFrame
 
@@ -92,7 +105,7 @@ def compute_palette(data: FleetData, pictures: Sequence[Image.Image]) -> Image.I
     """Compute the palette that all frames share from some of them, with the robots' colours."""
     lines: list[Colour] = [robot_colour(i) for i in range(min(data.num_robots, len(SERIES)))]
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, TRAIL, LINK]
-    given += [*lines, *([TARGET] if len(data.targets) else [])]
+    given += [*lines, *mission_colours(data)]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
     return fit_palette(given, pictures)
 
@@ -157,6 +170,11 @@ def _draw_robots(canvas: Canvas, frame: FleetFrame, draw: ImageDraw.ImageDraw) -
     for i, j in np.argwhere(np.triu(frame.links)):
         draw_line(canvas, draw, frame.positions[[i, j]], LINK, 1.0)
     draw_targets(canvas, draw, data.targets, frame.is_found, TARGET)
+    if data.objects is not None:
+        draw_objects(canvas, draw, data.objects, frame)
+    if data.anomalies is not None:
+        is_reported = find_report_times(data.anomalies) <= frame.time
+        draw_targets(canvas, draw, middles(data.anomalies), is_reported, ALARM)
     for number, plan in enumerate(frame.plans):
         draw_line(canvas, draw, plan, robot_colour(number), 3.0)
     bodies = zip(frame.positions, frame.headings, data.radii.tolist(), strict=True)
@@ -181,9 +199,8 @@ def _legend(data: FleetData) -> tuple[Entry, ...]:
         for i in range(min(data.num_robots, MOST_NAMED))
     ]
     link = [Entry("radio", LINK, "line")] if data.num_robots > 1 else []
-    if len(data.targets):
-        link += [Entry("target", TARGET, "star"), Entry("target found", TARGET, "found")]
-    return (*robots, *link, Entry("unseen wall", HIDDEN_WALL), Entry("unknown", UNKNOWN))
+    hidden = [] if is_known_map(data) else [Entry("unseen wall", HIDDEN_WALL)]
+    return (*robots, *link, *mission_entries(data), *hidden, Entry("unknown", UNKNOWN))
 
 
 def _draw_footer(
@@ -191,9 +208,12 @@ def _draw_footer(
 ) -> None:
     data, step = canvas.data, min(frame.step, len(canvas.time) - 1)
     footer = Footer(image, canvas.zoom, legend)
-    share = float(data.coverage[step]) if frame.step else data.initial_coverage
-    footer.headline(f"{100.0 * share:.1f} %", "covered")
-    footer.curve(canvas.time, data.coverage, step, level=data.target_coverage)
+    if is_known_map(data):
+        draw_mission(data, frame, footer, canvas.time, canvas.lengths, step)
+    else:
+        share = float(data.coverage[step]) if frame.step else data.initial_coverage
+        footer.headline(f"{100.0 * share:.1f} %", "covered")
+        footer.curve(canvas.time, data.coverage, step, level=data.target_coverage)
     footer.text(EDGE, 38, f"{frame.time:.1f} s")
     footer.text(84, 38, f"{canvas.lengths[step]:.1f} m")
     if len(data.targets):

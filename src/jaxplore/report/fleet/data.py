@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.maps.datum import move_points
 from jaxplore.report.coverage_levels import at_instants
-from jaxplore.report.recording import Frame, LiveCurves, RunData
+from jaxplore.report.exploration.mission import MissionData, MissionFrame
+from jaxplore.report.recording import LiveCurves
 
 
 class FleetRecord(NamedTuple):
@@ -30,7 +31,14 @@ class FleetRecord(NamedTuple):
         is_finite: whether every robot had a rollout of finite cost.
         sent: size of all messages with maps and ways in the step [bytes].
         links: number of pairs of robots that heard each other.
-        targets_seen: number of targets that some robot had seen; None without targets.
+        targets_seen: number of targets that some robot had found; None without targets.
+        mean_idleness: mean over the reachable cells of the time since some robot saw each, or since
+            the start [s]; None without an idleness map.
+        worst_idleness: the greatest of these times [s].
+        load_transfer: (N,) load transfer of each vehicle, as in `ExplorationRecord`; None without a
+            chassis, as are the two below.
+        wheel_travel: (N,) how far the ground moves a wheel, likewise.
+        is_tipped: (N,) whether each vehicle has tipped over.
     """
 
     state: StateVector
@@ -45,10 +53,15 @@ class FleetRecord(NamedTuple):
     sent: Scalar
     links: Count
     targets_seen: Count | None = None
+    mean_idleness: Scalar | None = None
+    worst_idleness: Scalar | None = None
+    load_transfer: Float[Array, " N"] | None = None
+    wheel_travel: Float[Array, " N"] | None = None
+    is_tipped: Bool[Array, " N"] | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FleetFrame(Frame):
+class FleetFrame(MissionFrame):
     """A snapshot of an exploration by a fleet.
 
     Args:
@@ -58,7 +71,6 @@ class FleetFrame(Frame):
             probability that is the farthest from 1/2.
         plans: (N, T, 2) positions of the nominal trajectories [m]; T = 0 without a plan.
         links: (N, N) which robots hear each other.
-        is_found: (M,) which targets some robot has seen.
     """
 
     positions: np.ndarray
@@ -66,7 +78,6 @@ class FleetFrame(Frame):
     probability: np.ndarray
     plans: np.ndarray
     links: np.ndarray
-    is_found: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
 
     places = ("positions", "plans")
 
@@ -91,52 +102,31 @@ def move_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
-class FleetData(RunData):
+class FleetData(MissionData):
     """Data of an exploration by a fleet: every step, frames, and the true world.
 
     Args:
-        world: (H, W) probability of the true map.
-        belief: (H, W) what the robots know together at the end, see `FleetFrame`.
         beliefs: (N, H, W) map of each robot at the end, in 256 levels.
-        reachable: (H, W) cells that count for coverage.
-        origin: pose of the grid [m, m, rad].
-        resolution: side of a cell [m].
         start: (nx,) states at the start.
         state_names: names of the components of the state.
-        initial_coverage: coverage before the first step.
-        target_coverage: coverage at which the exploration is finished.
-        finished_step: number of steps until it was finished; None if it was not.
-        given_up_step: number of steps until it was given up; None if it was not.
         radii: (N,) radii of the robots [m].
         coordination: how the robots divided the places among themselves.
-        targets: (M, 2) positions of the targets [m].
     """
 
     records: FleetRecord
     frames: tuple[FleetFrame, ...]
-    world: np.ndarray
-    belief: np.ndarray
     beliefs: np.ndarray
-    reachable: np.ndarray
-    origin: np.ndarray
-    resolution: float
     start: np.ndarray
     state_names: tuple[str, ...]
-    initial_coverage: float
-    target_coverage: float
-    finished_step: int | None
-    given_up_step: int | None
     radii: np.ndarray
     coordination: str
-    targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
         return {
             "records": move_records(self.records, offset, self.state_names),
             "start": move_states(self.start, offset, self.state_names),
-            "origin": move_points(self.origin, offset),
-            "targets": move_points(self.targets, offset),
+            **self.move_mission(offset),
         }
 
     @property
@@ -154,6 +144,11 @@ class FleetData(RunData):
     def positions(self) -> np.ndarray:
         """Positions (steps + 1, 2) of the first robot, the start included [m]."""
         return np.asarray(self.trails[0])
+
+    @property
+    def last_positions(self) -> np.ndarray:
+        """Positions (N, 2) of the robots at the end [m]."""
+        return np.asarray(self.trails[:, -1])
 
     @property
     def lengths(self) -> np.ndarray:

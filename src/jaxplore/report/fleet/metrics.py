@@ -7,21 +7,29 @@ import numpy as np
 
 from jaxplore.report._numbers import finite, percent, text
 from jaxplore.report.coverage_levels import LEVELS, describe_levels, reach_levels
-from jaxplore.report.exploration.missions import last_target_at
+from jaxplore.report.exploration.mission_metrics import (
+    MISSION_COLUMNS,
+    MISSION_CURVES,
+    MissionMetrics,
+    mission_curves,
+    mission_metrics,
+)
+from jaxplore.report.exploration.progress import is_known_map
+from jaxplore.report.exploration.wheels import WHEEL_COLUMNS, WheelMetrics, wheel_metrics
 from jaxplore.report.fleet.data import FleetData
-from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
+from jaxplore.report.metrics import Column, Curve, thin_series
 from jaxplore.report.motion import episodes
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FleetMetrics(Metrics):
+class FleetMetrics(MissionMetrics, WheelMetrics):
     """Metrics of an exploration by a fleet.
 
     Args:
         num_robots: number of robots, N.
         coordination: how the robots divided the places among themselves.
         coverage: share of the reachable cells that some robot knows to be free at the end.
-        target_coverage: coverage at which the exploration is finished.
+        target_coverage: coverage at which the exploration is finished; None if it never is.
         time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
             reached [s]; None if never.
         path_to: distance that all robots together had driven by then [m].
@@ -33,9 +41,7 @@ class FleetMetrics(Metrics):
         minimum_clearance: least distance from a robot's edge to a solid cell or another robot [m].
         exchanged: size of all messages with maps and ways [bytes].
         linked: share of the pairs of robots that heard each other, mean over the steps.
-        num_targets: number of targets.
-        targets_seen: number of targets that some robot saw.
-        last_target_at: time at which the last target was seen [s]; None if some were not.
+        is_map_known: whether the map was known in advance, so that coverage says nothing.
         least_coverage: coverage of the map of the robot that knows the least at the end.
         mean_effective_sample_size: mean effective sample size.
         coverage_curve: "time" [s], "coverage", "path" [m] of all robots, and the coverage of each
@@ -45,7 +51,7 @@ class FleetMetrics(Metrics):
     num_robots: int
     coordination: str
     coverage: float
-    target_coverage: float
+    target_coverage: float | None
     time_to: dict[str, float | None]
     path_to: dict[str, float | None]
     path_lengths: tuple[float, ...]
@@ -55,9 +61,7 @@ class FleetMetrics(Metrics):
     minimum_clearance: float | None
     exchanged: float
     linked: float | None
-    num_targets: int
-    targets_seen: int
-    last_target_at: float | None
+    is_map_known: bool
     least_coverage: float
     mean_effective_sample_size: float | None
     coverage_curve: dict[str, list[float | None]]
@@ -70,13 +74,19 @@ class FleetMetrics(Metrics):
             "last_target_at", "last target [s]", applies=lambda spread: spread[0] < math.inf
         ),
         Column.quartiles("path_length", "path [m]"),
+        *MISSION_COLUMNS,
         Column.total("collisions", "collisions"),
         Column.total("contacts", "contacts"),
+        *WHEEL_COLUMNS,
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("exchanged", "exchanged [MB]", digits=2, scale=1e-6),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
     )
-    plotted = (Curve("coverage", "coverage [%]", 100.0, 100.0), Curve("path", "path of all [m]"))
+    plotted = (
+        Curve("coverage", "coverage [%]", 100.0, 100.0, applies=lambda each: not each.is_map_known),
+        Curve("path", "path of all [m]"),
+        *MISSION_CURVES,
+    )
     levels = LEVELS
 
     def series(self) -> dict[str, list[float | None]]:
@@ -87,24 +97,25 @@ class FleetMetrics(Metrics):
         """Return the main metrics as (name, text)."""
         each = ", ".join(f"{metres:.1f}" for metres in self.path_lengths)
         return [
-            self.duration_row(),
+            self.duration_row(has_end=self.target_coverage is not None or self.num_targets > 0),
             ("robots", f"{self.num_robots}, coordination: {self.coordination}"),
-            ("coverage", f"{percent(self.coverage)}, {describe_levels(self.time_to)}"),
-            *self._target_rows(),
-            ("least known", f"{percent(self.least_coverage)} by one robot"),
+            *self._coverage_rows(),
+            *self.mission_rows(),
             ("path", f"{self.path_length:.1f} m: {each}"),
             ("contacts", f"{self.contacts} between robots, {self.collisions} with walls"),
+            *self.wheel_rows(),
             ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
             ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
             *self.last_rows(),
         ]
 
-    def _target_rows(self) -> list[tuple[str, str]]:
-        if not self.num_targets:
-            return []
-        last = self.last_target_at
-        seen = f"{self.targets_seen} of {self.num_targets} seen"
-        return [("targets", seen if last is None else f"{seen}, the last at {last:.2f} s")]
+    def _coverage_rows(self) -> list[tuple[str, str]]:
+        if self.is_map_known:
+            return [("map", "known in advance")]
+        return [
+            ("coverage", f"{percent(self.coverage)}, {describe_levels(self.time_to)}"),
+            ("least known", f"{percent(self.least_coverage)} by one robot"),
+        ]
 
 
 def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics:
@@ -118,7 +129,6 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
     at = {name: None if step is None else step * period for name, step in ended.items()}
     curve = {"time": data.time, "coverage": coverage, "path": path}
     robots = {f"robot {i}": rows for i, rows in enumerate(data.coverages, start=1)}
-    seen = records.targets_seen
     return FleetMetrics(
         **data.common_metrics(finished_at=at["finished"], seed=seed),
         num_robots=data.num_robots,
@@ -134,10 +144,10 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         exchanged=float(np.sum(records.sent, dtype=np.float64)),
         linked=float(np.mean(records.links) / pairs) if pairs and data.num_steps else None,
-        num_targets=len(data.targets),
-        targets_seen=0 if seen is None or not len(seen) else int(seen[-1]),
-        last_target_at=last_target_at(data),
+        **mission_metrics(data),
+        **wheel_metrics(records, period),
+        is_map_known=is_known_map(data),
         least_coverage=float(data.coverages[:, -1].min()),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
-        coverage_curve=thin_series({**curve, **robots}, period),
+        coverage_curve=thin_series({**curve, **mission_curves(data), **robots}, period),
     )

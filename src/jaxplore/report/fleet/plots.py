@@ -8,13 +8,16 @@ from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.drawing.colours import belief_colours
 from jaxplore.report.drawing.palette import INK
 from jaxplore.report.drawing.series import line_style, style_time
+from jaxplore.report.exploration.anomalies import add_anomalies
 from jaxplore.report.exploration.map_axes import (
     add_outline,
     map_figure_axes,
     map_inches,
     show_cells,
 )
+from jaxplore.report.exploration.objects import add_objects
 from jaxplore.report.exploration.overlays import add_targets
+from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.fleet.metrics import compute_metrics
@@ -48,11 +51,15 @@ def map_figure(data: FleetData) -> "Figure":
     for marker, name in (("o", "start"), ("s", "end")):
         axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
     add_targets(axes, data, window)
+    add_objects(axes, data.objects, window)
+    add_anomalies(axes, data.anomalies, window)
     add_outline(axes, data, window)
     columns = 4 if width > 5.0 else 2
     figure.legend(loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
     driven = data.lengths[:, -1].sum()
-    title = f"{100.0 * data.coverage[-1]:.1f} % covered, {data.time[-1]:.1f} s, {driven:.1f} m"
+    title = f"{data.time[-1]:.1f} s, {driven:.1f} m"
+    if not is_known_map(data):
+        title = f"{100.0 * data.coverage[-1]:.1f} % covered, {title}"
     if len(data.targets):
         title += f", targets {int(data.frames[-1].is_found.sum())} of {len(data.targets)}"
     figure.suptitle(title, fontsize=11)
@@ -75,8 +82,9 @@ def coverage_figure(data: FleetData) -> "Figure":
         style = line_style(number)
         above.plot(data.time, 100.0 * rows, linewidth=1.2, label=f"robot {number + 1}", **style)
         below.plot(data.time, length, linewidth=1.4, **style)
-    level = 100.0 * data.target_coverage
-    above.axhline(level, color="0.6", linewidth=0.8, linestyle="--", label=f"target: {level:.3g} %")
+    if data.target_coverage is not None:
+        level, name = 100.0 * data.target_coverage, f"target: {100.0 * data.target_coverage:.3g} %"
+        above.axhline(level, color="0.6", linewidth=0.8, linestyle="--", label=name)
     for share in LEVELS:
         seconds = metrics.time_to[str(share)]
         if seconds is not None:

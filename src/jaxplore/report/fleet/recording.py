@@ -4,12 +4,14 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
 from jaxplore.maps.files.ros import write_map
+from jaxplore.report.exploration.idleness import idleness_figure
+from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.fleet.animation import compute_palette, frame_image, painter
 from jaxplore.report.fleet.data import FleetData, FleetFrame
 from jaxplore.report.fleet.metrics import FleetMetrics, compute_metrics
@@ -27,8 +29,9 @@ EXPLORED = "explored.yaml"
 class FleetRecording(FleetData, Recording):
     """A finished exploration by a fleet.
 
-    Its folder has `map.png`, `coverage.png`, `fleet.gif`, and what the robots know together for
-    ROS's `map_server` (`explored.yaml` and `explored.pgm`).
+    Its folder has `map.png`, `fleet.gif`, and what the robots know together for ROS's `map_server`
+    (`explored.yaml` and `explored.pgm`); `coverage.png` unless the map was known in advance;
+    `idleness.png` if the robots patrol and do not search for targets.
     """
 
     animation = "fleet.gif"
@@ -51,7 +54,13 @@ class FleetRecording(FleetData, Recording):
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:
         """Return functions that draw the figures, by file name without suffix."""
-        return {"map": partial(map_figure, self), "coverage": partial(coverage_figure, self)}
+        draw: dict[str, Callable[[Any], Figure]] = {"map": map_figure}
+        # As of one robot: each figure shows what the task is judged by.
+        if not is_known_map(self):
+            draw["coverage"] = coverage_figure
+        if self.idleness is not None and not len(self.targets):
+            draw["idleness"] = idleness_figure
+        return {name: partial(each, self) for name, each in draw.items()}
 
     def files(self) -> dict[str, Callable[[Path], None]]:
         """Return a function that writes the explored map as a ROS map of three values."""

@@ -12,7 +12,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.control.base import SampledPlan
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.parts.recognition import Recognition
+from jaxplore.parts.recognition import ObjectClasses, Recognition
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 
@@ -37,9 +37,6 @@ def frame_arrays(
     angles = pose[2] + jnp.asarray(sensor.beam_angles)
     directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
     nowhere = jnp.zeros((0, 2))
-    objects, classes = belief.parts.get(Recognition.name), jnp.zeros((0, 0))
-    if objects is not None:
-        classes = jnp.where(objects.is_known[:, None], objects.probability, jnp.nan)
     tracks, followed = jnp.zeros((0, 2, 2)), belief.tracks
     if followed is not None:
         now, velocity = followed.mean[:, :2], followed.mean[:, 2:]
@@ -57,7 +54,7 @@ def frame_arrays(
         "reference": nowhere,
         "movers": nowhere if movers is None else movers[:, :2],
         "is_found": is_seen,
-        "classes": classes,
+        "classes": object_classes(belief.parts.get(Recognition.name)),
         "tracks": tracks,
         "terms": {},
         "sample_terms": {},
@@ -73,6 +70,13 @@ def frame_arrays(
         "terms": plan.nominal.terms,
         "sample_terms": dict(plan.sample_terms),
     }
+
+
+def object_classes(objects: ObjectClasses | None) -> Float[Array, "N C"]:
+    """Return the probability of each class of each object as a frame has it; (0, 0) of none."""
+    if objects is None:
+        return jnp.zeros((0, 0))
+    return jnp.where(objects.is_known[:, None], objects.probability, jnp.nan)
 
 
 def crop_frame(arrays: Mapping[str, Any], world: OccupancyGrid, stride: int) -> dict[str, Any]:

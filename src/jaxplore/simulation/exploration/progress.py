@@ -79,9 +79,8 @@ def map_progress(sums: MapSums, belief: Belief, reachable: GridMask, time: Scala
     mean, worst = jnp.zeros(()), jnp.zeros(())
     idleness = belief.parts.get(IdlenessMap.name)
     if idleness is not None:
-        # The idleness of a cell that was never seen is infinite; here it counts from the start.
-        idle = jnp.where(reachable, jnp.minimum(idleness, time), 0.0)
-        mean, worst = share(jnp.sum(idle)), jnp.max(idle)
+        number = sums.reachable.astype(jnp.float32)
+        mean, worst = mean_and_worst(idleness, reachable, number, time)
     height, width = (jnp.asarray(side, jnp.float32) for side in belief.grid.sides)
     return MapProgress(
         coverage=share(sums.free.astype(jnp.float32)),
@@ -91,3 +90,14 @@ def map_progress(sums: MapSums, belief: Belief, reachable: GridMask, time: Scala
         mean_idleness=mean,
         worst_idleness=worst,
     )
+
+
+def mean_and_worst(
+    idleness: GridValues, reachable: GridMask, number: Scalar, time: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Return the mean and the greatest idleness of the `number` reachable cells [s].
+
+    That of a cell that was never seen is infinite; here it counts from the start, for `time` [s].
+    """
+    idle = jnp.where(reachable, jnp.minimum(idleness, time), 0.0)
+    return jnp.sum(idle) / number, jnp.max(idle)

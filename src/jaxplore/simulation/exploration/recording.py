@@ -11,12 +11,11 @@ from jaxplore.parts.anomalies import Anomalies, AnomalyTest
 from jaxplore.parts.recognition import ObjectClasses, Recognition
 from jaxplore.parts.watch import IdlenessMap
 from jaxplore.report.exploration.data import (
-    AnomalyData,
     ExplorationFrame,
     ExplorationRecord,
     LocalisationData,
-    ObjectData,
 )
+from jaxplore.report.exploration.mission import AnomalyData, ObjectData
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import has_coverage_target
@@ -80,14 +79,15 @@ def make_recording(
         elevation=None if ground is None else np.asarray(ground.elevation),
         traversable=None if ground is None else np.asarray(ground.is_traversable),
         idleness=None if idleness is None else cropped(idleness),
-        anomalies=_anomalies(belief.parts.get(AnomalyTest.name), planted),
-        objects=_objects(belief.parts.get(Recognition.name), objects, recognition),
+        anomalies=anomaly_data(belief.parts.get(AnomalyTest.name), planted),
+        objects=object_data(belief.parts.get(Recognition.name), objects, recognition),
         localisation=localisation,
         mover_radii=np.zeros(0) if moving is None else np.asarray(moving.radius),
     )
 
 
-def _anomalies(found: Anomalies | None, planted: PlantedAnomalies | None) -> AnomalyData | None:
+def anomaly_data(found: Anomalies | None, planted: PlantedAnomalies | None) -> AnomalyData | None:
+    """Return the reports beside what differs from the prior map; None without a test."""
     if found is None:
         return None
     is_used = np.asarray(found.reports.kind) > 0
@@ -103,9 +103,10 @@ def _anomalies(found: Anomalies | None, planted: PlantedAnomalies | None) -> Ano
     )
 
 
-def _objects(
+def object_data(
     known: ObjectClasses | None, objects: TrueObjects | None, recognition: Recognition | None
 ) -> ObjectData | None:
+    """Return what is known of the objects beside what they are; None without a detector."""
     if known is None or objects is None or recognition is None:
         return None
     names = ("detected_at", "looks", "reported_at", "reported_probability")

@@ -7,7 +7,6 @@ import numpy as np
 from jaxplore import _kinds
 from jaxplore._limits import MOST_ROBOTS
 from jaxplore._types import Rows
-from jaxplore.simulation.exploration.finish import NEVER
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
@@ -46,6 +45,15 @@ def check_members(
                 f"targets of robots[{index}] differ; accepted: those of robots[0], for which all "
                 "robots look"
             )
+        if (each.chassis is None) != (first.chassis is None):
+            raise ValueError(
+                f"chassis of robots[{index}] differs; accepted: as robots[0], with one or without"
+            )
+        names = [[part.name for part in one.perception.parts] for one in (each, first)]
+        if names[0] != names[1]:
+            raise ValueError(
+                f"parts of robots[{index}] are {names[0]}; accepted: those of robots[0], {names[1]}"
+            )
         for name in ("control_period", "steps_per_scan", "steps_per_field"):
             here, there = (np.asarray(getattr(one, name)).item() for one in (each, first))
             if here != there:
@@ -60,8 +68,6 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
     perception = one.perception
     parts = {
         "goal": one.goal,
-        **{part.name: part for part in perception.parts},
-        "chassis": one.chassis,
         "guard": one.guard,
         "variation": one.variation,
         "localisation": one.localisation,
@@ -69,14 +75,13 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
     }
     for name, part in parts.items():
         if part is not None:
-            raise ValueError(
-                f"{name} of robots[{index}] is given; accepted in a fleet: none, which explores "
-                "until a target coverage"
-            )
-    if one.target in ("walls", NEVER):
+            raise ValueError(f"{name} of robots[{index}] is given; accepted in a fleet: none")
+    if one.target == "walls":
         raise ValueError(
-            f"target of robots[{index}] is {one.target!r}; accepted in a fleet: 'coverage'"
+            f"target of robots[{index}] is {one.target!r}; accepted in a fleet: 'coverage', 'never'"
         )
+    for each in perception.parts:
+        each.check_fleet()
 
 
 def identities(starts: np.ndarray) -> np.ndarray:

@@ -16,7 +16,9 @@ from jaxplore.belief.plans import Plans
 from jaxplore.control.base import Info
 from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation
+from jaxplore.parts.watch import IdlenessMap
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
+from jaxplore.simulation.exploration.progress import mean_and_worst
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.contact import predict_positions
@@ -27,6 +29,20 @@ from jaxplore.simulation.state import Moment
 
 BESIDE = 1.0
 """Distance that robots keep in view beyond the reach of their plans [m]."""
+
+
+class Known(NamedTuple):
+    """What the robots of a fleet know together.
+
+    `coverage` is the share of the reachable cells that some robot knows to be free, `coverages`
+    (N,) that of each, and `is_seen` (M,) says which targets some robot has seen. `idleness` (2,) is
+    that of `FleetState`.
+    """
+
+    coverage: Scalar
+    coverages: Float[Array, " N"]
+    is_seen: Bool[Array, " M"]
+    idleness: Float[Array, "2"] | None
 
 
 class Talk(NamedTuple):
@@ -85,24 +101,35 @@ class Talk(NamedTuple):
             jnp.zeros((number, 2)),
             jnp.zeros(()),
             jnp.zeros((), jnp.int32),
-            self.count_known(members)[1],
+            self.count_known(members).coverages,
         )
 
-    def count_known(
-        self, members: Sequence[ExplorationState]
-    ) -> tuple[Scalar, Float[Array, " N"], Bool[Array, " M"]]:
-        """Return the coverage of all robots together and that of each, and which targets were seen
-        by some robot."""
+    def count_known(self, members: Sequence[ExplorationState], time: Scalar | None = None) -> Known:
+        """Return what all robots know together; `time` is the time since the start, 0 when None."""
+        watch = IdlenessMap.name
         rows = self.share.gather(
-            [(each.belief.grid.is_free, each.progress.coverage, each.is_seen) for each in members]
+            [
+                (
+                    each.belief.grid.is_free,
+                    each.progress.coverage,
+                    each.is_seen,
+                    each.belief.parts.get(watch),
+                )
+                for each in members
+            ]
         )
         known, is_seen = (
             functools.reduce(jnp.logical_or, [row[place] for row in rows]) for place in (0, 2)
         )
-        reachable = self.members[0].map_arrays.reachable
+        first = self.members[0]
+        reachable, number = first.map_arrays.reachable, first.num_reachable
         found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
-        together = found / self.members[0].num_reachable
-        return together, jnp.stack([each for _, each, _ in rows]), is_seen
+        idleness = None
+        if rows[0][3] is not None:
+            least = functools.reduce(jnp.minimum, [row[3] for row in rows])
+            now = jnp.zeros(()) if time is None else time
+            idleness = jnp.stack(mean_and_worst(least, reachable, number, now))
+        return Known(found / number, jnp.stack([row[1] for row in rows]), is_seen, idleness)
 
     def discs(self, state: FleetState) -> MovingDiscs | None:
         """Return all robots as discs that move; None for a robot alone."""
@@ -172,7 +199,7 @@ class Talk(NamedTuple):
             [one.robot.position(each) for one, each in zip(self.members, observed, strict=True)]
         )
 
-        def tell(known: tuple[Obstacles, ...], *_: Array) -> Any:
+        def tell(known: tuple[Obstacles, ...], *_: Any) -> Any:
             links = self.links(state, moment)
             near = self._may_meet(places, team.plans)
             after = []
@@ -192,21 +219,28 @@ class Talk(NamedTuple):
                 plans = told.plans.update(rows(team.plans), heard)
                 after.append(dataclasses.replace(told, plans=plans))
             number = jnp.sum(links, dtype=jnp.int32) // 2
-            return tuple(after), *self.count_known(state.members), number
+            return tuple(after), self.count_known(state.members, moment.time), number
 
         obstacles = tuple(each.belief.obstacles for each in state.members)
-        known, coverage, coverages, is_seen, links = jax.lax.cond(
+        before = Known(state.coverage, team.coverages, state.is_seen, state.idleness)
+        known, together, links = jax.lax.cond(
             moment.step % self.members[0].steps_per_scan == 0,
             tell,
             lambda *same: same,
-            *(obstacles, state.coverage, team.coverages, state.is_seen, team.links),
+            *(obstacles, before, team.links),
         )
         members = tuple(
             each.with_belief(dataclasses.replace(each.belief, obstacles=one))
             for each, one in zip(state.members, known, strict=True)
         )
-        team = team._replace(links=links, coverages=coverages)
-        return state._replace(members=members, coverage=coverage, is_seen=is_seen, team=team)
+        team = team._replace(links=links, coverages=together.coverages)
+        return state._replace(
+            members=members,
+            coverage=together.coverage,
+            is_seen=together.is_seen,
+            idleness=together.idleness,
+            team=team,
+        )
 
     def _may_meet(
         self, places: Float[Array, "N 2"], plans: Float[Array, "N S 2"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxplore.control.base import Info
@@ -10,6 +11,7 @@ from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.exploration.wheels import Wheels
 from jaxplore.simulation.state import Moment
 
 
@@ -21,8 +23,10 @@ def moves(
     controls: Sequence[Array],
     moment: Moment,
     info: Info,
-) -> list[ExplorationRecord]:
+) -> list[tuple[ExplorationRecord, Wheels | None]]:
     """Move each robot for a control period, unless it would touch something solid; see `move`.
+
+    Return the record and the wheels of each.
 
     Every process moves all robots. Of one that another process computes, nothing but the record's
     state, clearance and collision is meant. `members` are the states of the robots of `share`,
@@ -36,7 +40,7 @@ def moves(
         period = scenarios[0].control_period
         # What moves does so during the step as well, so contact is with where it is at its end.
         truth = one.true_world(each, moment._replace(time=moment.time + period))
-        record, _ = move(
+        moved = move(
             one.robot,
             each,
             control,
@@ -46,7 +50,15 @@ def moves(
             info=info,
             is_faulty=moment.is_faulty,
             stop=None,
-            chassis=None,
+            chassis=one.chassis,
         )
-        records.append(record)
+        records.append(moved)
     return records
+
+
+def stack_wheels(records: Sequence[ExplorationRecord]) -> dict[str, Array]:
+    """Return the fields of the wheels (N,) of a `FleetRecord`; none without a chassis."""
+    names = ("load_transfer", "wheel_travel", "is_tipped")
+    if records[0].is_tipped is None:
+        return {}
+    return {name: jnp.stack([getattr(each, name) for each in records]) for name in names}

@@ -180,6 +180,38 @@ class Exchanged(NamedTuple):
     sent: Scalar
 
 
+def share_parts(
+    scenarios: Sequence[ExplorationScenario],
+    share: Share,
+    members: Sequence[ExplorationState],
+    links: Bool[Array, "N N"],
+) -> tuple[list[ExplorationState], Scalar]:
+    """Let each robot merge what the parts of those that it hears know; return the bytes as well.
+
+    A message has the index and the value of each number that is new to the receiver. Scenarios and
+    members are those of the M robots of `share`; `links` (N, N) says who hears whom.
+    """
+    parts, sent = scenarios[0].perception.parts, jnp.zeros(())
+    if not parts:
+        return list(members), sent
+    rows = share.gather([each.belief.parts for each in members])
+    told = jax.tree.map(lambda *each: jnp.stack(each), *rows)
+    counts, after = [], []
+    for i, one, each in zip(share.mine, scenarios, members, strict=True):
+        own = each.belief.parts
+        merged = {
+            part.name: part.merge(own[part.name], told[part.name], links[i])
+            for part in one.perception.parts
+            if part.name in own
+        }
+        pairs = zip(jax.tree.leaves(merged), jax.tree.leaves(own), strict=True)
+        counts.append(sum(jnp.sum(new != old, dtype=jnp.float32) for new, old in pairs))
+        after.append(each.with_belief(each.belief.with_parts(merged)))
+    for number in share.gather(counts):
+        sent = sent + CELL_BYTES * number
+    return after, sent
+
+
 def exchange(
     radio: Radio,
     explorations: Alike[ExplorationScenario],
@@ -259,6 +291,8 @@ def exchange(
         progress = map_progress(sums, belief, one.map_arrays.reachable, time)
         judged = state.judged._replace(sums=sums, progress=progress)
         after.append(state.with_belief(belief)._replace(judged=judged))
+    after, told_bytes = share_parts(scenarios, share, after, links)
+    sent = sent + told_bytes
     maps = tuple(probability for probability, *_ in found)
     told = heard.lengths
     if with_lengths:

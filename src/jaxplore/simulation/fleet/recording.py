@@ -1,5 +1,6 @@
 """Frames and the recording of a run of a fleet, from the arrays on the device."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,12 +10,19 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxplore._types import GridValues
+from jaxplore.belief.part import Part
 from jaxplore.control.base import SampledPlan
 from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation, extent
+from jaxplore.parts.anomalies import AnomalyTest
+from jaxplore.parts.recognition import Recognition
+from jaxplore.parts.watch import IdlenessMap
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.exploration.finish import has_coverage_target
+from jaxplore.simulation.exploration.frames import object_classes
+from jaxplore.simulation.exploration.recording import anomaly_data, object_data
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.fleet.state import FleetState
 
@@ -33,14 +41,19 @@ def fleet_frame(
     share: Share,
     plan: SampledPlan | None,
     links: Bool[Array, "N N"] | None,
+    parts: Sequence[Part],
 ) -> dict[str, Any]:
-    """Return the arrays of a `FleetFrame`, by field; without a plan or links it shows none."""
+    """Return the arrays of a `FleetFrame`, by field; without a plan or links it shows none.
+
+    `parts` are those of each robot.
+    """
     number, states = len(robot.robots), robot.split_state(state.robot)
     headings = [one.heading(each) for one, each in zip(robot.robots, states, strict=True)]
     plans = jnp.zeros((number, 0, 2))
     if plan is not None:
         plans = jnp.swapaxes(jax.vmap(robot.positions)(plan.nominal.states), 0, 1)
     maps = share.gather([each.belief.grid.probability for each in state.members])
+    known = merge_parts(parts, share.gather([each.belief.parts for each in state.members]))
     return {
         "positions": robot.positions(state.robot),
         "headings": jnp.stack(headings),
@@ -48,6 +61,7 @@ def fleet_frame(
         "plans": plans,
         "links": jnp.zeros((number, number), bool) if links is None else links,
         "is_found": state.is_seen,
+        "classes": object_classes(known.get(Recognition.name)),
     }
 
 
@@ -66,9 +80,14 @@ def make_recording(
     """Make the recording of a run; `before` is the state before the first step."""
     after: FleetState = run.state.task
     arrays = scenarios[0].map_arrays.crop()
-    grid = after.members[0].belief.grid
+    grid, first = after.members[0].belief.grid, scenarios[0]
     own = [grid.crop(each.belief.grid.probability) for each in after.members]
     maps = share.gather_on_host(own)
+    rows = _gather_on_host(share, [each.belief.parts for each in after.members])
+    known = merge_parts(first.perception.parts, rows)
+    idleness, anomalies = known.get(IdlenessMap.name), known.get(AnomalyTest.name)
+    recognition = first.perception.part(Recognition)
+    reports = anomaly_data(anomalies, first.planted)
     return FleetRecording(
         **run.common(period),
         world=np.asarray(arrays.world.probability),
@@ -80,11 +99,49 @@ def make_recording(
         start=start,
         state_names=robot.state_names,
         initial_coverage=float(before.coverage),
-        target_coverage=float(scenarios[0].target_coverage),
+        target_coverage=(
+            float(first.target_coverage) if has_coverage_target(first.target_coverage) else None
+        ),
         # `finished` counts from the step that ended the task, that step included.
         finished_step=run.num_steps - int(after.finished) + 1 if after.finished > 0 else None,
         given_up_step=run.num_steps if is_given_up else None,
         radii=np.array([extent(each.robot.footprint) for each in scenarios]),
         coordination=coordination,
-        targets=np.asarray(scenarios[0].targets),
+        targets=np.asarray(first.targets),
+        idleness=None if idleness is None else grid.crop(idleness),
+        anomalies=reports,
+        objects=object_data(known.get(Recognition.name), first.objects, recognition),
+        initial_unknown=float(before.members[0].progress.unknown),
     )
+
+
+def merge_parts(parts: Sequence[Part], rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the states of parts that a robot would have which heard all, from those of each."""
+    if not rows[0]:
+        return {}
+    told = jax.tree.map(lambda *each: jnp.stack(each), *rows)
+    everybody = jnp.ones(len(rows), bool)
+    merged = {
+        part.name: part.merge(rows[0][part.name], told[part.name], everybody)
+        for part in parts
+        if part.name in told
+    }
+    test = merged.get(AnomalyTest.name)
+    if test is not None:
+        # Each robot has dropped suspicions of its own.
+        total = jnp.sum(told[AnomalyTest.name].num_cleared, dtype=jnp.int32)
+        merged[AnomalyTest.name] = dataclasses.replace(test, num_cleared=total)
+    return merged
+
+
+def _gather_on_host(share: Share, own: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the states of the parts of all robots, from those of this process."""
+    leaves, structure = zip(*(jax.tree.flatten(each) for each in own), strict=True)
+    columns = [
+        share.gather_on_host([np.asarray(leaf) for leaf in column])
+        for column in zip(*leaves, strict=True)
+    ]
+    return [
+        jax.tree.unflatten(structure[0], [jnp.asarray(column[robot]) for column in columns])
+        for robot in range(share.number)
+    ]

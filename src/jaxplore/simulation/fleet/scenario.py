@@ -24,6 +24,7 @@ from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.exploration.finish import NEVER, TARGETS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
@@ -31,7 +32,7 @@ from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
 from jaxplore.simulation.fleet.communication import Talk
 from jaxplore.simulation.fleet.contact import stop_touching
-from jaxplore.simulation.fleet.motion import moves
+from jaxplore.simulation.fleet.motion import moves, stack_wheels
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
 from jaxplore.simulation.fleet.senses import TeamSenses
@@ -62,16 +63,18 @@ class Fleet(Scenario):
 
     The exploration is finished when the share of the reachable cells that some robot knows to be
     free is the target coverage, and given up as that of one robot is. With targets it is finished
-    when each one was seen by some robot, and not given up. Numbers that concern all, the
-    rates, the target coverage, the faults, are those of the first robot's exploration.
+    when each one was seen by some robot, or recognised, and not given up. On a patrol it ends with
+    the time limit. What parts of the robots know is merged with the maps (`Part.merge`). Numbers
+    that concern all, the rates, the target coverage, the faults, are those of the first robot's
+    exploration.
 
     A fleet of one robot runs as that robot alone does, to the bit. The order of the robots does not
     matter: keys are derived from the order of the starts by x, y and yaw.
 
     Args:
         robots: exploration of each robot, in one world; or that of one robot, for a fleet of equal
-            ones. Without a target coverage they have 0.99. They have no goal, idleness map,
-            anomalies, detector, chassis or guard.
+            ones. Without a target coverage they have 0.99. They have no goal or guard, and all have
+            the same parts, and a chassis or none.
         starts: (N, 3) start pose (x, y, yaw) of each robot [m, m, rad], at rest; those of the
             explorations when absent.
         radio: who hears whom; `Radio()` when absent.
@@ -170,6 +173,8 @@ class Fleet(Scenario):
             ValueError: robots that are not all equal, or one alone.
         """
         check_share(share, self.explorations.kinds, "robots")
+        if self.members[0].chassis is not None:
+            raise ValueError("chassis of the robots is given; accepted in several processes: none")
         return with_field(self, "share", share)
 
     @property
@@ -184,8 +189,8 @@ class Fleet(Scenario):
 
     @property
     def objective(self) -> str:
-        """Default objective: time to the end, plus collisions and contacts."""
-        return "finished_at + 100*collisions + 100*contacts"
+        """Default objective: that of one robot, plus contacts."""
+        return f"{self.members[0].objective} + 100*contacts"
 
     @property
     def steps_per_revision(self) -> int | None:
@@ -216,18 +221,16 @@ class Fleet(Scenario):
         begun = own.each(begin, self.share.select(starts))
         for index, alone in zip(self.share.mine, begun, strict=True):
             members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
-        coverage, is_seen, team = members[0].progress.coverage, members[0].is_seen, None
-        if self.num_robots > 1:
-            coverage, _, is_seen = self._talk.count_known(members)
-            team = self._talk.begin(members)
+        known = self._talk.count_known(members)
         state = FleetState(
             self.start,
             tuple(members),
-            coverage,
-            Gain(coverage, jnp.zeros(())),
-            is_seen,
+            known.coverage,
+            Gain(known.coverage, jnp.zeros(())),
+            known.is_seen,
             jnp.zeros((), jnp.int32),
-            team,
+            self._talk.begin(members) if self.num_robots > 1 else None,
+            known.idleness,
         )
         return state, self._belief(state)
 
@@ -247,8 +250,13 @@ class Fleet(Scenario):
         )
         known = state._replace(members=members)
         if known.team is None:
-            alone = members[0]
-            known = known._replace(coverage=alone.progress.coverage, is_seen=alone.is_seen)
+            alone, idleness = members[0], known.idleness
+            if idleness is not None:
+                progress = alone.progress
+                idleness = jnp.stack([progress.mean_idleness, progress.worst_idleness])
+            known = known._replace(
+                coverage=alone.progress.coverage, is_seen=alone.is_seen, idleness=idleness
+            )
         else:
             known = self._talk.tell_when_due(known, known.team, moment)
         known = known._replace(gain=state.gain.update(known.coverage, self.control_period))
@@ -264,7 +272,8 @@ class Fleet(Scenario):
         """
         before = self.robot.split_state(state.robot)
         controls = self.robot.split_control(control)
-        records = moves(self.members, self.share, state.members, before, controls, moment, info)
+        found = moves(self.members, self.share, state.members, before, controls, moment, info)
+        records, wheels = zip(*found, strict=True)
         moved = [each.state for each in records]
         clearance = jnp.stack([each.clearance for each in records])
         contact, team = jnp.zeros(self.num_robots, bool), state.team
@@ -277,9 +286,9 @@ class Fleet(Scenario):
             sent, links, coverages = team.sent, team.links, team.coverages
             team = self._talk.update_plans(team, state.robot, moved, moment.step, info)
         members = tuple(
-            each.after_step(robot, given)
-            for each, robot, given in zip(
-                state.members, self.share.select(moved), self.share.select(controls), strict=True
+            each.after_step(robot, given)._replace(wheels=after)
+            for each, robot, given, after in zip(
+                state.members, *map(self.share.select, (moved, controls, wheels)), strict=True
             )
         )
         joint = jnp.concatenate(moved)
@@ -298,6 +307,9 @@ class Fleet(Scenario):
             sent=sent,
             links=links,
             targets_seen=self._count_seen(state),
+            mean_idleness=None if state.idleness is None else state.idleness[0],
+            worst_idleness=None if state.idleness is None else state.idleness[1],
+            **stack_wheels(records),
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -317,7 +329,9 @@ class Fleet(Scenario):
         """Check whether the coverage has not risen for long, see `ExplorationScenario`."""
         if state.is_seen.size:
             return jnp.array(False)
-        return (state.finished == 0) & (state.gain.since >= self.members[0].give_up_after)
+        first = self.members[0]
+        is_judged = (state.finished == 0) & (first.ends_by != TARGETS.index(NEVER))
+        return is_judged & (state.gain.since >= first.give_up_after)
 
     def _count_seen(self, state: FleetState) -> Count | None:
         """Return the number of targets that some robot has seen; None without targets."""
@@ -360,7 +374,8 @@ class Fleet(Scenario):
         """Return what the robots know together, their poses, plans and links."""
         plan = None if inspect is None else inspect(moment.observed, self._belief(state))
         links = None if state.team is None else self._talk.links(state, moment)
-        return fleet_frame(self.robot, state, self.share, plan, links)
+        parts = self.members[0].perception.parts
+        return fleet_frame(self.robot, state, self.share, plan, links, parts)
 
     def make_frame(self, step: int, arrays: Any) -> FleetFrame:
         """Make a frame on the host, with the cells that are on the map."""
