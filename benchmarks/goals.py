@@ -9,6 +9,7 @@ import functools
 import json
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ from jaxplore.belief import Belief
 from jaxplore.belief.car import car_motion
 from jaxplore.control import Controller
 from jaxplore.dynamics.goal_check import GoalCheck, Motion
+from jaxplore.maps.collision import clearance_reach, footprint_clearance
 from jaxplore.maps.files.ros import read_map
 from jaxplore.maps.generators.generated import KINDS
 from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
@@ -117,21 +119,37 @@ def _cut(cells: np.ndarray) -> np.ndarray:
     return whole
 
 
-def places(cells: np.ndarray, radius: float, number: int, seed: int) -> np.ndarray:
-    """Return starts and goals (number, 6): x, y, yaw, and x, y, yaw of the goal."""
+def places(cells: np.ndarray, robot: jx.Dynamics, number: int, seed: int) -> np.ndarray:
+    """Return starts and goals (number, 6): x, y, yaw, and x, y, yaw of the goal.
+
+    A rectangle fits at both with its heading. A disc fits at any.
+    """
+    radius = float(robot.radius)
     grid = jx.OccupancyGrid(cells, RESOLUTION)
     spot = np.array([*open_spot(grid, radius + ROOM), 0.0])
     free = np.argwhere(reachable_cells(grid, spot, radius + ROOM))
-    rng = np.random.default_rng(seed)
+    rng, turns = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     rows: list[list[float]] = []
     # In a room that is too small for the robot, the goals are nearer.
     nearest = min(NEAREST, 0.5 * RESOLUTION * np.hypot(*np.ptp(free, axis=0)))
     while len(rows) < number:
         start, goal = (RESOLUTION * (free[rng.integers(len(free))][::-1] + 0.5) for _ in range(2))
         if nearest <= np.hypot(*(goal - start)) <= FARTHEST:
-            rows.append([*start, rng.uniform(-np.pi, np.pi), *goal])
-    headings = np.random.default_rng([seed, 1]).uniform(-np.pi, np.pi, (number, 1))
-    return np.hstack([np.array(rows), headings]).astype(np.float32)
+            row = [*start, rng.uniform(-np.pi, np.pi), *goal, turns.uniform(-np.pi, np.pi)]
+            if fits(grid, robot, row[:3]) and fits(grid, robot, row[3:]):
+                rows.append(row)
+    return np.array(rows, np.float32)
+
+
+def fits(grid: jx.OccupancyGrid, robot: jx.Dynamics, pose: Sequence[float]) -> bool:
+    """Check whether a robot that is a rectangle touches nothing at a pose (x, y, yaw)."""
+    footprint = robot.footprint
+    if not isinstance(footprint, jx.Rectangle):
+        return True
+    solid, reach = ~grid.is_free, clearance_reach(footprint, RESOLUTION)
+    x, y, heading = jnp.asarray(pose, jnp.float32)
+    gap = footprint_clearance(solid, grid.frame, jnp.stack([x, y]), heading, footprint, reach)
+    return float(gap) > 0.0
 
 
 @eqx.filter_jit
@@ -217,7 +235,7 @@ def measure(
         ).for_batches()
         rows = results[name] = []
         for index, (scene, cells) in enumerate(maps.items()):
-            given = places(cells, float(robot.radius), number, index)
+            given = places(cells, robot, number, index)
             began = time.process_time()
             batch = functools.partial(drive, kind, perception, cells)
             found = jax.tree.map(np.asarray, eqx.filter_vmap(batch)(given, jnp.arange(number)))

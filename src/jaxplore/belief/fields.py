@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Flag, GridValues, Pose, Position, Scalar
+from jaxplore._types import Flag, GridMask, GridValues, Pose, Position, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.dwell import add_dwell, dwell_discount, with_given_up
 from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
@@ -26,6 +26,10 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+
+IGNORED = 1e-4
+"""Probability of occupancy of what is unknown where the robot must not be: a beam through ten
+metres of it loses one per cent, and has no information of it."""
 
 
 class BeliefFields(eqx.Module):
@@ -131,8 +135,14 @@ class BeliefFields(eqx.Module):
             is_explored=is_explored,
             # A lost robot has no finite pose. Costs measure from the last finite one.
             pose=jnp.where(jnp.isfinite(pose).all(), pose, belief.pose),
-            to_goal=self._to_goal(belief.grid, pose),
+            to_goal=self._to_goal(belief.grid, belief.parts, pose),
         )
+
+    def _closed_by_parts(self, states: Mapping[str, Any]) -> GridMask | None:
+        """Return the cells (H, W) that parts forbid to enter; None if none does."""
+        given = [part.closed_cells(own) for part, own in self._known(states)]
+        masks = [each for each in given if each is not None]
+        return functools.reduce(operator.or_, masks) if masks else None
 
     def _known(self, states: Mapping[str, Any]) -> list[tuple[Part, Any]]:
         """Return the parts that have a state, each with its own."""
@@ -149,7 +159,11 @@ class BeliefFields(eqx.Module):
         self, grid: OccupancyGrid, states: Mapping[str, Any], before: InformationField | None
     ) -> InformationField:
         """Return the information field without what parts add to it beside their interest."""
-        prior = self.occupancy_prior
+        prior, closed = self.occupancy_prior, self._closed_by_parts(states)
+        if closed is not None:
+            # What is unknown where the robot must not be counts as free, so it sees through it.
+            is_ignored = closed & ~(grid.is_free | grid.is_occupied)
+            grid = grid.with_probability(jnp.where(is_ignored, IGNORED, grid.probability))
         given = [part.interest(own) for part, own in self._known(states)]
         interests = [each for each in given if each is not None]
         if interests:
@@ -160,13 +174,21 @@ class BeliefFields(eqx.Module):
             return self.field_sensor.field(grid, self.sensor_model, prior=prior)
         return self.field_sensor.update(before, grid, self.sensor_model, prior=prior)
 
-    def _to_goal(self, grid: OccupancyGrid, pose: Pose) -> GuidanceField | None:
+    def _to_goal(
+        self, grid: OccupancyGrid, states: Mapping[str, Any], pose: Pose
+    ) -> GuidanceField | None:
         if not self.is_goal_apart or self.goal is None:
             return None
-        return self.way_to(self.goal, grid, pose, self.goal_heading)
+        closed = self._closed_by_parts(states)
+        return self.way_to(self.goal, grid, pose, self.goal_heading, closed)
 
     def way_to(
-        self, goal: Position, grid: OccupancyGrid, pose: Pose, heading: Scalar | None = None
+        self,
+        goal: Position,
+        grid: OccupancyGrid,
+        pose: Pose,
+        heading: Scalar | None = None,
+        closed: GridMask | None = None,
     ) -> GuidanceField:
         """Return the cost-to-go to a goal; see `jaxplore.belief.goal_field`.
 
@@ -175,10 +197,14 @@ class BeliefFields(eqx.Module):
             grid: the robot's map.
             pose: pose (x, y, yaw) of the robot [m, m, rad].
             heading: heading at the goal [rad]; any when absent.
+            closed: (H, W) cells that may not be entered; none when absent.
         """
+        if self.ground is not None:
+            blocked = ~self.ground.is_traversable
+            closed = blocked if closed is None else closed | blocked
         return goal_field(
             grid,
-            None if self.ground is None else ~self.ground.is_traversable,
+            closed,
             goal,
             self.required_clearance,
             self.locomotion,

@@ -114,6 +114,16 @@ class Part(eqx.Module):
         """
         return field
 
+    def closed_cells(self, own: Any) -> GridMask | None:
+        """Return the cells (H, W) that the robot must not enter, or None.
+
+        Nothing is to be learned there either.
+
+        Args:
+            own: the state.
+        """
+        return None
+
     def merge(self, own: Any, told: Any, is_heard: Bool[Array, " N"]) -> Any:
         """Return the state of a robot after the robots of its fleet have told it theirs.
 
@@ -138,6 +148,11 @@ class Part(eqx.Module):
             raise ValueError(
                 f"{self.name} is a {type(self).__name__}; accepted in a fleet: parts with `merge`"
             )
+
+    @property
+    def closes_cells(self) -> bool:
+        """Whether there are cells that the robot must not enter."""
+        return type(self).closed_cells is not Part.closed_cells
 
     @property
     def adds_information(self) -> bool:

@@ -3,7 +3,8 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._trees import with_field
-from jaxplore._types import ArrayLike, Pose, Vector
+from jaxplore._types import ArrayLike, GridMask, Pose, Vector
 from jaxplore._xla import compute
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.car import CarMotion
@@ -200,6 +201,14 @@ class Perception(BeliefFields):
         is_revisiting = any(each.is_revisiting for each in self.parts)
         self.gives_up = is_localising and not is_revisiting
 
+    def closed_cells(self, grid: OccupancyGrid) -> GridMask | None:
+        """Return the cells (H, W) of a map that parts forbid to enter; None if none does.
+
+        Args:
+            grid: the map.
+        """
+        return self._closed_by_parts({part.name: part.init(grid) for part in self.parts})
+
     def part[P: Part](self, kind: type[P]) -> P | None:
         """Return the part of a class; None without it.
 
@@ -229,9 +238,9 @@ class Perception(BeliefFields):
         _kinds.instance("grid", grid, OccupancyGrid)
         pose = _checks.pose("pose", pose)
         grid = self.free_below_robot(grid, pose)
-        clearance = self._clearance(grid)
         begun = {part.name: part.init(grid) for part in self.parts}
         states = {name: own for name, own in begun.items() if own is not None}
+        clearance = self._clearance(grid, states)
         information = self._cell_information(grid, states, None)
         dwell = jnp.zeros_like(information.total)
         nothing = jnp.zeros(())
@@ -247,7 +256,7 @@ class Perception(BeliefFields):
             self.patience,
             pose,
             self.ground,
-            self._to_goal(grid, pose),
+            self._to_goal(grid, states, pose),
             None if self.tracker is None or tracks is None else self.tracker.obstacles(tracks),
             states,
             gain=Gain(nothing, nothing) if self.gives_up else None,
@@ -276,7 +285,7 @@ class Perception(BeliefFields):
             belief: belief with the former map.
             grid: the map, with the cells of the former one.
         """
-        clearance, tracks = self._clearance(grid), belief.tracks
+        clearance, tracks = self._clearance(grid, belief.parts), belief.tracks
         if tracks is not None and tracks.former is not None:
             # Former maps have their walls at other places.
             tracks = tracks._replace(former=jnp.stack([clearance.values] * 2))
@@ -344,7 +353,7 @@ class Perception(BeliefFields):
         clearance = update_clearance(
             belief.clearance,
             self.window(grid, pose),
-            functools.partial(find_closed_cells, grid, self.ground),
+            functools.partial(self._find_closed, grid, states),
             self.max_clearance,
         )
         return dataclasses.replace(belief, grid=grid, clearance=clearance, parts=states)
@@ -385,6 +394,16 @@ class Perception(BeliefFields):
         reach = max(sensor.max_range for sensor in self.sensors)
         return Window.around(pose[:2], reach, grid.frame, grid.shape)
 
-    def _clearance(self, grid: OccupancyGrid) -> ScalarField:
-        closed = find_closed_cells(grid, self.ground)
+    def _find_closed(
+        self, grid: OccupancyGrid, states: Mapping[str, Any], window: Window | None = None
+    ) -> GridMask:
+        """Return the cells that may not be entered, of the whole map or of a window of it."""
+        closed = find_closed_cells(grid, self.ground, window)
+        forbidden = self._closed_by_parts(states)
+        if forbidden is None:
+            return closed
+        return closed | (forbidden if window is None else window.read(forbidden))
+
+    def _clearance(self, grid: OccupancyGrid, states: Mapping[str, Any]) -> ScalarField:
+        closed = self._find_closed(grid, states)
         return clearance_field(closed, grid.frame, self.max_clearance)

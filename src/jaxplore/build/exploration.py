@@ -14,6 +14,7 @@ from jaxplore.build.localisation import build_localisation
 from jaxplore.build.parts import (
     build_chassis,
     build_faults,
+    build_keep_out,
     build_recognition,
     build_robot,
     build_sensor_model,
@@ -149,6 +150,9 @@ def _parts(settings: Settings, world: RunWorld) -> list[Part]:
         parts.append(IdlenessMap(**arguments(watch, IdlenessMap)))
     if test is not None:
         parts.append(AnomalyTest(forbidden=world.forbidden, **arguments(test, AnomalyTest)))
+    keep_out = build_keep_out(settings.keep_out, world.datum)
+    if keep_out is not None:
+        parts.append(keep_out)
     if settings.detector is not None:
         parts.append(build_recognition(settings.detector))
     return parts

@@ -26,6 +26,8 @@ from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.chassis import Chassis
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.datum import ORIGIN, Datum
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.parts.keep_out import KeepOut
 from jaxplore.parts.recognition import Recognition
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
@@ -37,6 +39,7 @@ from jaxplore.sensing.mount import LidarMount
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import DetectorSettings, Settings
+from jaxplore.settings.keep_out import KeepOutSettings
 from jaxplore.settings.robot import CARS, ChassisSettings, RobotSettings, SensorModelSettings
 from jaxplore.settings.sections import (
     AdaptiveHorizonSettings,
@@ -136,6 +139,15 @@ def build_chassis(
         offset=0.5 * wheelbase if robot.model == "ackermann" else 0.0,
         **arguments(given, Chassis),
     )
+
+
+def build_keep_out(given: KeepOutSettings | None, datum: Datum) -> KeepOut | None:
+    """Build the areas that a robot must not enter; None without any."""
+    if given is None:
+        return None
+    areas = [datum.to_local([list(corner) for corner in area]) for area in given.areas]
+    mask = None if given.mask is None else OccupancyGrid.from_ros(given.mask, datum=datum)
+    return KeepOut(areas, mask)
 
 
 def build_recognition(given: DetectorSettings) -> Recognition:

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from jaxplore.build.parts import build_keep_out
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.generators.office import office, start_pose
@@ -158,6 +159,9 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
         grid, ground = terrain.grid, terrain.ground
     if settings.start is None:
         open_ground = grid if ground is None else with_closed(grid, ground)
+        keep_out = build_keep_out(settings.keep_out, datum)
+        if keep_out is not None:
+            open_ground = open_ground.with_solid(keep_out.init(grid))
         start = (*open_spot(open_ground, radius), 0.0)
     else:
         start = _local_pose(settings.start, datum)

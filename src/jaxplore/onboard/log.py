@@ -169,10 +169,15 @@ class DriveLog:
             initial_unknown=1.0,
             goal=None,
             elevation=None,
-            traversable=None,
+            traversable=self._find_traversable(belief),
             idleness=None,
             mover_radii=np.zeros(0),
         )
+
+    def _find_traversable(self, belief: Belief) -> np.ndarray | None:
+        """Return the cells (H, W) that the robot may enter; None if it may enter all."""
+        closed = self._scenario.perception.closed_cells(belief.grid)
+        return None if closed is None else belief.grid.crop(~closed)
 
     def newest(self, first: int) -> tuple[ExplorationRecord, np.ndarray]:
         """Return the records of the commands from `first` on, and their times [s], for live views.

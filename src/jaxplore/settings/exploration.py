@@ -24,6 +24,7 @@ from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.fleet import FleetSettings
+from jaxplore.settings.keep_out import KeepOutSettings
 from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.people import PeopleSettings
@@ -219,6 +220,7 @@ class Settings(RunSettings):
         watch: settings of the idleness map, for search and patrol; none when absent.
         anomalies: the test for what differs from the known map; none when absent. It needs a watch.
         detector: the detector of objects by the first sensor; none when absent.
+        keep_out: areas that robots must not enter; none when absent.
         terrain: the ground.
         sensor_model: inverse sensor model, the update of a cell by a measurement.
         fields: the information and guidance fields.
@@ -262,6 +264,7 @@ class Settings(RunSettings):
     watch: WatchSettings | None = None
     anomalies: AnomalySettings | None = None
     detector: DetectorSettings | None = None
+    keep_out: KeepOutSettings | None = None
     terrain: TerrainSettings = TerrainSettings()
     sensor_model: SensorModelSettings = SensorModelSettings()
     fields: FieldSettings = FieldSettings()

@@ -258,6 +258,9 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "localisation.tolerance": _CLOSING,
         **dict.fromkeys(("people.speed", "people.radius", "people.seed"), _AMONG_PEOPLE),
         "watch": Reader("runs with a watch", lambda settings: settings.watch is not None),
+        "keep_out": Reader(
+            "runs with keep-out areas", lambda settings: settings.keep_out is not None
+        ),
         "anomalies": Reader(
             "runs that test for anomalies", lambda settings: settings.anomalies is not None
         ),

@@ -168,8 +168,6 @@ class ExplorationData(MissionData):
         target: what the exploration ends by: coverage, information, walls or never.
         footprint: (4, 2) corners of a robot that is a rectangle, in its own frame [m]; (0, 2) of a
             disc.
-        elevation: (H, W) elevation of the ground [m]; None if it is level.
-        traversable: (H, W) cells of the ground that may be entered; None if it is level.
         mover_radii: (M,) radii of the moving obstacles [m].
         member_names: names of the members of a controller that holds several.
         localisation: where the robot took itself to be; None if it knew its pose.
@@ -186,8 +184,6 @@ class ExplorationData(MissionData):
     state_names: tuple[str, ...]
     robot_radius: float
     footprint: np.ndarray
-    elevation: np.ndarray | None
-    traversable: np.ndarray | None
     mover_radii: np.ndarray
     member_names: tuple[str, ...]
     localisation: LocalisationData | None = None

@@ -88,6 +88,8 @@ class MissionData(RunData):
         finished_step: number of steps until the scenario was finished; None if it was not, or was
             finished before the first step.
         given_up_step: number of steps until it was given up; None if it was not.
+        elevation: (H, W) elevation of the ground [m]; None if it is level.
+        traversable: (H, W) cells that may be entered; None if all that are free may.
         targets: (M, 2) positions of the targets [m].
         idleness: (H, W) time since each cell was last seen, at the end [s]; None without an
             idleness map.
@@ -105,6 +107,8 @@ class MissionData(RunData):
     target_coverage: float | None
     finished_step: int | None
     given_up_step: int | None = None
+    elevation: np.ndarray | None = None
+    traversable: np.ndarray | None = None
     targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     idleness: np.ndarray | None = None
     anomalies: AnomalyData | None = None

@@ -17,8 +17,8 @@ from jaxplore.report.drawing.colours import (
 )
 from jaxplore.report.drawing.picture import outline_at
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.mission import MissionData
 from jaxplore.report.exploration.window import Window
-from jaxplore.report.fleet.data import FleetData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +33,7 @@ CONTOUR = "#6b7f5e"
 """Colour of contour lines."""
 
 
-def find_closed_cells(recording: ExplorationData, window: Window) -> np.ndarray:
+def find_closed_cells(recording: MissionData, window: Window) -> np.ndarray:
     """Return the window's cells (R, C) of untraversable open ground."""
     if recording.traversable is None:
         return np.zeros(window.shape, bool)
@@ -41,7 +41,7 @@ def find_closed_cells(recording: ExplorationData, window: Window) -> np.ndarray:
     return window.crop(is_open & ~np.asarray(recording.traversable, bool), False)
 
 
-def add_ground(axes: "Axes", recording: ExplorationData, window: Window) -> None:
+def add_ground(axes: "Axes", recording: MissionData, window: Window) -> None:
     """Draw contour lines with their heights, and hatch untraversable ground."""
     if recording.elevation is not None:
         _add_contours(axes, np.asarray(recording.elevation), window)
@@ -110,7 +110,7 @@ def _middles(window: Window, around: int = 0) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def add_targets(axes: "Axes", recording: ExplorationData | FleetData, window: Window) -> None:
+def add_targets(axes: "Axes", recording: MissionData, window: Window) -> None:
     """Draw the targets: found ones as rings, those that are still to be found as stars."""
     if not len(recording.targets):
         return

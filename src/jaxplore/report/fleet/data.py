@@ -26,6 +26,7 @@ class FleetRecord(NamedTuple):
             [m], up to half a metre.
         is_collision: (N,) whether each robot would have collided with something solid; it stopped
             instead.
+        is_untraversable: (N,) whether part of each robot is where it may not be.
         is_contact: (N,) whether each robot would have touched another one; it stopped instead.
         effective_sample_size: mean over the robots of the effective sample size.
         is_finite: whether every robot had a rollout of finite cost.
@@ -47,6 +48,7 @@ class FleetRecord(NamedTuple):
     coverages: Float[Array, " N"]
     clearance: Float[Array, " N"]
     is_collision: Bool[Array, " N"]
+    is_untraversable: Bool[Array, " N"]
     is_contact: Bool[Array, " N"]
     effective_sample_size: Scalar
     is_finite: Flag

@@ -38,6 +38,8 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
         collisions: collisions with something solid, of all robots; successive steps are one.
         contacts: contacts between robots: successive steps in which some robot was stopped because
             it would have touched another one are one.
+        untraversable_steps: number of steps of a robot that ended with part of it where it may not
+            be, of all robots.
         minimum_clearance: least distance from a robot's edge to a solid cell or another robot [m].
         exchanged: size of all messages with maps and ways [bytes].
         linked: share of the pairs of robots that heard each other, mean over the steps.
@@ -58,6 +60,7 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
     path_length: float
     collisions: int
     contacts: int
+    untraversable_steps: int
     minimum_clearance: float | None
     exchanged: float
     linked: float | None
@@ -77,6 +80,9 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
         *MISSION_COLUMNS,
         Column.total("collisions", "collisions"),
         Column.total("contacts", "contacts"),
+        Column.total(
+            "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
+        ),
         *WHEEL_COLUMNS,
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("exchanged", "exchanged [MB]", digits=2, scale=1e-6),
@@ -103,6 +109,11 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
             *self.mission_rows(),
             ("path", f"{self.path_length:.1f} m: {each}"),
             ("contacts", f"{self.contacts} between robots, {self.collisions} with walls"),
+            *(
+                [("untraversable", f"{self.untraversable_steps} steps")]
+                if self.untraversable_steps
+                else []
+            ),
             *self.wheel_rows(),
             ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
             ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
@@ -144,6 +155,7 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         exchanged=float(np.sum(records.sent, dtype=np.float64)),
         linked=float(np.mean(records.links) / pairs) if pairs and data.num_steps else None,
+        untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
         **mission_metrics(data),
         **wheel_metrics(records, period),
         is_map_known=is_known_map(data),

@@ -16,7 +16,7 @@ from jaxplore.report.exploration.map_axes import (
     show_cells,
 )
 from jaxplore.report.exploration.objects import add_objects
-from jaxplore.report.exploration.overlays import add_targets
+from jaxplore.report.exploration.overlays import add_ground, add_targets
 from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.fleet.data import FleetData
@@ -50,6 +50,7 @@ def map_figure(data: FleetData) -> "Figure":
         axes.plot(*placed[-1], marker="s", markersize=8.0, color=style["color"], **marks)
     for marker, name in (("o", "start"), ("s", "end")):
         axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
+    add_ground(axes, data, window)
     add_targets(axes, data, window)
     add_objects(axes, data.objects, window)
     add_anomalies(axes, data.anomalies, window)

@@ -153,7 +153,8 @@ class WaypointMode(ActionMode):
         offset = jnp.stack([cos * ahead - sin * left, sin * ahead + cos * left])
         # The field has the parameters of the belief's guidance, so costs read both alike.
         waypoint = pose[:2] + offset
-        way = perception.way_to(waypoint, belief.grid, pose)
+        closed = perception.closed_cells(belief.grid)
+        way = perception.way_to(waypoint, belief.grid, pose, closed=closed)
         return WaypointController(self.drive, way, waypoint)
 
     def at_period(self, control_period: ArrayLike) -> "WaypointMode":

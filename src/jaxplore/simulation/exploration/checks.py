@@ -104,6 +104,34 @@ def start_state(robot: Dynamics, pose: np.ndarray, altitude: float) -> StateVect
     return robot.with_component(state, "z", height)
 
 
+def check_keep_out(
+    perception: Perception,
+    world: OccupancyGrid,
+    pose: np.ndarray,
+    targets: Float[Array, "M 2"],
+    datum: Datum,
+) -> GridMask | None:
+    """Return the cells (H, W) that the robot must not enter; None if it may enter all.
+
+    Raises:
+        ValueError: a start (x, y, yaw) [m, m, rad] in one of them, or all targets.
+    """
+    closed = perception.closed_cells(world)
+    if closed is None:
+        return None
+    places = np.concatenate([np.asarray(pose[:2], np.float32)[None], np.asarray(targets)])
+    cells = world.frame.to_cell(jnp.asarray(places))
+    is_in = np.asarray(world.contains(cells) & closed[tuple(jnp.moveaxis(cells, -1, 0))])
+    if is_in[0]:
+        x, y = datum.round_to_map(pose[:2]).tolist()
+        raise ValueError(f"start is ({x:g}, {y:g}), in a keep-out area; accepted: outside of all")
+    if len(targets) and is_in[1:].all():
+        raise ValueError(
+            f"targets are {len(targets)}, all in keep-out areas; accepted: one outside at least"
+        )
+    return closed
+
+
 def check_perception(
     perception: Perception | None,
     sensors: tuple[Sensor, ...],

@@ -15,13 +15,15 @@ class MapArrays(NamedTuple):
     """The map of a scenario, in arrays of one of a few shapes: similar maps share a program.
 
     `prior` is the map that the robot knows in advance, `reachable` (H, W) the cells that its centre
-    can reach in the true `world`. `ground` is None if it is level.
+    can reach in the true `world`. `ground` is None if it is level. `closed` (H, W) are the cells
+    that it must not enter; None if it may enter all.
     """
 
     world: OccupancyGrid
     prior: OccupancyGrid
     reachable: GridMask
     ground: Ground | None
+    closed: GridMask | None = None
 
     def pad(self, shape: tuple[int, int] | None = None) -> "MapArrays":
         """Return the map in larger arrays, see `OccupancyGrid.pad`."""
@@ -32,6 +34,7 @@ class MapArrays(NamedTuple):
             self.prior.pad(same),
             self.mask(self.reachable, same),
             None if self.ground is None else self.ground.pad(same),
+            None if self.closed is None else self.mask(self.closed, same),
         )
 
     def mask(
@@ -40,6 +43,14 @@ class MapArrays(NamedTuple):
         """Return a mask of cells of the map in arrays of a shape; that of the world by default."""
         shape = self.world.shape if shape is None else shape
         return on_device(pad_cells("shape", self.world.crop(cells), shape, False))
+
+    @property
+    def traversable(self) -> GridMask | None:
+        """Cells (H, W) that the robot may enter; None if it may enter all that are free."""
+        passable = None if self.ground is None else self.ground.is_traversable
+        if self.closed is None:
+            return passable
+        return ~self.closed if passable is None else passable & ~self.closed
 
     def crop(self) -> "MapArrays":
         """Return the map in arrays of its own shape."""
@@ -52,4 +63,5 @@ class MapArrays(NamedTuple):
             self.prior.unpad(),
             on_device(world.crop(self.reachable)),
             None if ground is None else ground.crop(world.unpad().shape),
+            None if self.closed is None else on_device(world.crop(self.closed)),
         )

@@ -77,7 +77,7 @@ def make_recording(
         initial_unknown=float(before.progress.unknown),
         goal=None if goal is None else np.asarray(goal),
         elevation=None if ground is None else np.asarray(ground.elevation),
-        traversable=None if ground is None else np.asarray(ground.is_traversable),
+        traversable=None if arrays.traversable is None else np.asarray(arrays.traversable),
         idleness=None if idleness is None else cropped(idleness),
         anomalies=anomaly_data(belief.parts.get(AnomalyTest.name), planted),
         objects=object_data(belief.parts.get(Recognition.name), objects, recognition),

@@ -125,6 +125,9 @@ class ExplorationScenario(Scenario):
     centre of the robot's disc can reach from the start. Coverage is the share of them that the
     robot's map knows to be free.
 
+    Cells that the robot must not enter (`jaxplore.parts.KeepOut`) do not count as reachable, and
+    count as untraversable.
+
     The robot knows the ground of a terrain map, but not the obstacles on it. Untraversable cells do
     not stop the robot: it can enter them, which is recorded. A robot with a chassis loses half of
     its displacement while a wheel hangs in the air. It tips over where a pair of wheels is without
@@ -180,9 +183,10 @@ class ExplorationScenario(Scenario):
         ValueError: a part of another class; a perception made for another range, resolution or
             goal; a start that is off the map, in a wall, in unknown space, or so close to either
             that the robot touches it; a rate that is not positive, above the control rate or no
-            whole fraction of it; a target coverage outside (0, 1]; a prior or walls of another
-            shape; a goal off the map, in a wall, or where the robot cannot get from its start; a
-            target or an object off the map or in a wall; an object of an unknown class.
+            whole fraction of it; a start or all targets in keep-out areas; a target coverage
+            outside (0, 1]; a prior or walls of another shape; a goal off the map, in a wall, or
+            where the robot cannot get from its start; a target or an object off the map or in a
+            wall; an object of an unknown class.
     """
 
     frame_type = ExplorationFrame
@@ -300,11 +304,14 @@ class ExplorationScenario(Scenario):
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
+        self.targets = checks.check_targets(targets, world, datum)
+        closed = checks.check_keep_out(perception, world, pose, self.targets, datum)
+        if closed is not None:
+            passable = passable.with_solid(closed)
         reachable = on_device(drivable_cells(passable, pose, robot, perception, datum))
         check_carrying(self.faults, world, reachable, datum)
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
-        self.targets = checks.check_targets(targets, world, datum)
         self.objects = true_objects(
             self.targets, objects, perception.part(Recognition), world, datum
         )
@@ -325,7 +332,7 @@ class ExplorationScenario(Scenario):
         if give_up_after is None:
             give_up_after = default_give_up_after(world, robot)
         self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
-        self.map_arrays = MapArrays(world, known, reachable, ground).pad()
+        self.map_arrays = MapArrays(world, known, reachable, ground, closed).pad()
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
         self.perception, self.planted = perception, planted
@@ -727,4 +734,5 @@ class ExplorationScenario(Scenario):
         if self.faults is not None:
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
         is_told = self.perception.tracker is None
-        return TrueWorld(grid, self.map_arrays.ground, moving, moment.time, is_told)
+        arrays = self.map_arrays
+        return TrueWorld(grid, arrays.ground, moving, moment.time, is_told, arrays.traversable)

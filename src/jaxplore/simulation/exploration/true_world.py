@@ -31,6 +31,7 @@ class TrueWorld(eqx.Module):
 
     `grid` has the walls that have appeared. `ground` is None if it is level, `moving` without
     moving obstacles. `is_told` says whether scans tell which beams ended at moving obstacles.
+    `traversable` (H, W) are the cells that the robot may enter; None if it may enter all.
     """
 
     grid: OccupancyGrid
@@ -38,6 +39,7 @@ class TrueWorld(eqx.Module):
     moving: MovingObstacles | MovingDiscs | None
     time: Scalar
     is_told: bool = eqx.field(static=True, default=True)
+    traversable: GridMask | None = None
 
     @property
     def discs(self) -> Float[Array, "M 3"] | None:
@@ -139,10 +141,10 @@ class TrueWorld(eqx.Module):
         return jnp.where(is_collision, robot.resolve_collision(before, after), moved), is_collision
 
     def is_untraversable(self, robot: Dynamics, state: StateVector, reach: int) -> Flag:
-        """Check whether part of the robot is on untraversable ground; see `clearance`."""
-        if self.ground is None:
+        """Check whether part of the robot is where it may not be; see `clearance`."""
+        if self.traversable is None:
             return jnp.array(False)
-        return self._room(~self.ground.is_traversable, robot, state, reach) < 0.0
+        return self._room(~self.traversable, robot, state, reach) < 0.0
 
     def _room(self, solid: GridMask, robot: Dynamics, state: StateVector, reach: int) -> Scalar:
         position, heading = robot.position(state), robot.heading(state)

@@ -277,7 +277,15 @@ def exchange(
         return probability, belief.clearance.values, MapSums.of(probability, reachable), lengths
 
     # What a merge does not read stays where it is.
-    small = [Belief(grid=each.belief.grid, clearance=each.belief.clearance) for each in members]
+    closing = [part for part in scenarios[0].perception.parts if part.closes_cells]
+    small = [
+        Belief(
+            grid=each.belief.grid,
+            clearance=each.belief.clearance,
+            parts={part.name: each.belief.parts[part.name] for part in closing},
+        )
+        for each in members
+    ]
     found = explorations.each(merge, small, poses, [every[i] for i in share.mine])
     after = []
     for one, state, (probability, clearance, sums, _) in zip(

@@ -108,6 +108,8 @@ def make_recording(
         radii=np.array([extent(each.robot.footprint) for each in scenarios]),
         coordination=coordination,
         targets=np.asarray(first.targets),
+        traversable=None if arrays.traversable is None else np.asarray(arrays.traversable),
+        elevation=None if arrays.ground is None else np.asarray(arrays.ground.elevation),
         idleness=None if idleness is None else grid.crop(idleness),
         anomalies=reports,
         objects=object_data(known.get(Recognition.name), first.objects, recognition),

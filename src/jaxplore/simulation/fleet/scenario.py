@@ -301,6 +301,7 @@ class Fleet(Scenario):
             coverages=coverages,
             clearance=clearance,
             is_collision=jnp.stack([each.is_collision for each in records]),
+            is_untraversable=jnp.stack([each.is_untraversable for each in records]),
             is_contact=contact,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
