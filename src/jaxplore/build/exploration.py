@@ -9,7 +9,7 @@ from jaxplore.belief.car import car_motion
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.tracks import ObstacleTracker
-from jaxplore.build.controllers import build_controller
+from jaxplore.build.controllers import build_controller, build_occlusion_cost
 from jaxplore.build.fleet import build_fleet
 from jaxplore.build.localisation import build_localisation
 from jaxplore.build.parts import (
@@ -101,7 +101,8 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         **arguments(settings.rates, ExplorationScenario),
     ).with_variation(build_variation(settings.variation))
     has_guard = settings.guard and settings.fleet is None
-    return scenario.with_guard(MotionGuard() if has_guard else None)
+    guard = MotionGuard(occlusion=build_occlusion_cost(settings, world))
+    return scenario.with_guard(guard if has_guard else None)
 
 
 def _choose_max_unknown(settings: Settings) -> float | None:
