@@ -6,11 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.kinds import Script
 
 from jaxplore import DifferentialDrive, MotionGuard, Omnidirectional, Unicycle
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.guard import PASSING, ScanPoints
 from jaxplore.control.stops import FROZEN, GOOD
 from jaxplore.costs import OcclusionCost
+from jaxplore.robot.decision import Driver
 from jaxplore.sensing.clusters import Edges
 
 ROBOT = DifferentialDrive(max_speed=1.0)
@@ -149,3 +153,20 @@ def test_a_command_stays_where_nobody_is_expected_or_it_is_not_finite() -> None:
     rest = jnp.zeros(5)
     np.testing.assert_array_equal(SLOW.slow_down(ROBOT, rest, jnp.zeros(2), edges, PERIOD), 0.0)
     np.testing.assert_array_equal(SLOW.slow_down(ROBOT, rest, go, edges, PERIOD), go)
+
+
+def test_the_edges_of_the_belief_slow_the_command_of_a_controller() -> None:
+    start = jnp.asarray([0.0, 0.0, 0.0, 0.9, 0.0])
+    edges = Edges(jnp.full((8, 2), 0.7), jnp.arange(8) == 0)
+    tracks = ObstacleTracker(2).init()
+    ahead = Script(jnp.asarray([[1.0, 0.0]]))
+    args = ScanPoints.blank(3), jnp.zeros(()), jax.random.key(0)
+    for guard, belief, wanted in (
+        (SLOW, Belief(tracks=tracks._replace(edges=edges)), -1.0),
+        (SLOW, Belief(tracks=tracks), 1.0),
+        (SLOW, Belief(), 1.0),
+        (GUARD, Belief(tracks=tracks._replace(edges=edges)), 1.0),
+    ):
+        driver = Driver(ROBOT, ahead, guard, PERIOD)
+        checked, _, _ = eqx.filter_jit(driver.plan)(ahead.init(), start, belief, *args)
+        assert float(checked.control[0]) == pytest.approx(wanted, abs=1e-5)
