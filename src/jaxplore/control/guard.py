@@ -294,10 +294,10 @@ class MotionGuard(eqx.Module):
         stopping = robot.stopping_control(start, period)
         after = robot.step(start, control, period)
         allowed = self.occlusion.allowed_speed(State(after, robot, control), edges)
-        excess = _speed(robot, after, control) - jnp.maximum(allowed, PASSING)
+        speed = _speed(robot, after, control)
         braked = _speed(robot, robot.step(start, stopping, period), stopping)
-        change = _speed(robot, after, control) - braked
-        share = jnp.clip(excess / jnp.maximum(change, LEAST_CHANGE), 0.0, 1.0)
+        excess = speed - jnp.maximum(allowed, PASSING)
+        share = jnp.clip(excess / jnp.maximum(speed - braked, LEAST_CHANGE), 0.0, 1.0)
         # What is not finite compares as false: such a command stays as it is.
         return jnp.where(excess > 0.0, control + share * (stopping - control), control)
 
