@@ -2,13 +2,20 @@
 simulation/test_guard.py."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.kinds import Script
 
-from jaxplore import DifferentialDrive, MotionGuard
-from jaxplore.control.guard import ScanPoints
+from jaxplore import DifferentialDrive, MotionGuard, Omnidirectional, Unicycle
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.tracks import ObstacleTracker
+from jaxplore.control.guard import PASSING, ScanPoints
 from jaxplore.control.stops import FROZEN, GOOD
+from jaxplore.costs import OcclusionCost
+from jaxplore.robot.decision import Driver
+from jaxplore.sensing.clusters import Edges
 
 ROBOT = DifferentialDrive(max_speed=1.0)
 PERIOD = jnp.asarray(0.05)
@@ -86,3 +93,80 @@ def test_a_command_is_kept_unless_the_robot_could_not_stand_in_time() -> None:
     # On hills, points say nothing of commands.
     hills = ScanPoints.blank(3, is_on_hills=True)
     assert GUARD.keep_clear(ROBOT, start, go, hills, jnp.zeros(()), PERIOD).control is go
+
+
+def speed_near(distance: float) -> float:
+    """The speed at which a robot of 1 m/s^2 stands in time, by bisection."""
+    low, high = 0.0, 10.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        needed = middle**2 / 2.0 + 1.6 * (0.2 + middle)
+        low, high = (middle, high) if needed <= distance else (low, middle)
+    return max(low, PASSING)
+
+
+MODELS = {
+    "wheels": (ROBOT, [0.0, 0.0, 0.3, 0.9, 0.2], [1.0, -0.5], 3),
+    "velocity": (Unicycle(), [0.0, 0.0, 0.3], [0.9, 0.4], None),
+    "omni": (Omnidirectional(), [0.0, 0.0, 0.3, 0.5, -0.6, 0.1], [0.4, -0.6, 0.3], (3, 4)),
+}
+"""A model, a state, a command, and which components of the state are its speed."""
+SLOW = MotionGuard(occlusion=OcclusionCost())
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_command_is_slower_where_somebody_can_be_hidden(name: str) -> None:
+    """The command is the one between it and braking that brakes least, of a thousand tried."""
+    robot, state, command, speeds = MODELS[name]
+    start, control = jnp.asarray(state), jnp.asarray(command)
+
+    @eqx.filter_jit
+    def both(edges):
+        slower = SLOW.slow_down(robot, start, control, edges, PERIOD)
+        shares = jnp.linspace(0.0, 1.0, 1001)[:, None]
+        tried = control + shares * (robot.stopping_control(start, PERIOD) - control)
+        return slower, tried, jax.vmap(lambda each: robot.step(start, each, PERIOD))(tried)
+
+    for distance, is_there in ((0.4, True), (1.6, True), (2.2, True), (9.0, True), (0.4, False)):
+        place = [[0.0, distance + float(robot.radius)], [30.0, 0.0]]
+        edges = Edges(jnp.asarray(place), jnp.asarray([is_there, True]))
+        slower, tried, after = (np.asarray(each) for each in both(edges))
+        speed = np.abs(tried[:, 0]) if speeds is None else after[:, speeds]
+        speed = np.hypot(*speed.T) if speed.ndim > 1 else speed
+        gone = float(np.hypot(*(after[0, :2] - place[0])) - robot.radius)
+        is_slow = speed <= speed_near(gone if is_there else 25.0) + 1e-4
+        best = tried[np.argmax(is_slow)] if is_slow.any() else tried[-1]
+        np.testing.assert_allclose(slower, best, atol=3e-3)
+        assert not np.array_equal(slower, command) or is_slow[0]
+
+
+def test_a_command_stays_where_nobody_is_expected_or_it_is_not_finite() -> None:
+    start, go = jnp.asarray([0.0, 0.0, 0.0, 1.0, 0.0]), jnp.asarray([0.5, 0.0])
+    edges = Edges(jnp.asarray([[0.5, 0.0]]), jnp.asarray([True]))
+    assert GUARD.slow_down(ROBOT, start, go, edges, PERIOD) is go
+    assert SLOW.slow_down(ROBOT, start, go, None, PERIOD) is go
+    none = jnp.asarray([jnp.nan, 0.0])
+    assert not jnp.isfinite(SLOW.slow_down(ROBOT, start, none, edges, PERIOD)).all()
+    lost = jnp.full(5, jnp.nan)
+    np.testing.assert_array_equal(SLOW.slow_down(ROBOT, lost, go, edges, PERIOD), go)
+    # A robot that stands does not move by itself, and one may start.
+    rest = jnp.zeros(5)
+    np.testing.assert_array_equal(SLOW.slow_down(ROBOT, rest, jnp.zeros(2), edges, PERIOD), 0.0)
+    np.testing.assert_array_equal(SLOW.slow_down(ROBOT, rest, go, edges, PERIOD), go)
+
+
+def test_the_edges_of_the_belief_slow_the_command_of_a_controller() -> None:
+    start = jnp.asarray([0.0, 0.0, 0.0, 0.9, 0.0])
+    edges = Edges(jnp.full((8, 2), 0.7), jnp.arange(8) == 0)
+    tracks = ObstacleTracker(2).init()
+    ahead = Script(jnp.asarray([[1.0, 0.0]]))
+    args = ScanPoints.blank(3), jnp.zeros(()), jax.random.key(0)
+    for guard, belief, wanted in (
+        (SLOW, Belief(tracks=tracks._replace(edges=edges)), -1.0),
+        (SLOW, Belief(tracks=tracks), 1.0),
+        (SLOW, Belief(), 1.0),
+        (GUARD, Belief(tracks=tracks._replace(edges=edges)), 1.0),
+    ):
+        driver = Driver(ROBOT, ahead, guard, PERIOD)
+        checked, _, _ = eqx.filter_jit(driver.plan)(ahead.init(), start, belief, *args)
+        assert float(checked.control[0]) == pytest.approx(wanted, abs=1e-5)

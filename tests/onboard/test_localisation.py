@@ -260,3 +260,6 @@ def test_a_localisation_is_that_of_the_settings_and_external_poses_have_none() -
     assert pilot.scenario.localisation is None
     np.testing.assert_array_equal(pilot.correction, np.zeros(3))
     assert float(pilot._mapper._robot.localisation.localiser.memory) == 7.0
+    # A node expects people, so its guard slows it down where somebody can be hidden.
+    assert pilot.guard.occlusion is not None
+    assert float(pilot.guard.occlusion.walker_speed) == pytest.approx(settings.people.max_speed)

@@ -52,7 +52,7 @@ def build_controller(
     robot, perception = scenario.robot, scenario.perception
     moving: dict[str, Any] = {
         "has_moving_obstacles": _has_moving(settings, world),
-        "occlusion_cost": _occlusion_cost(settings, world),
+        "occlusion_cost": build_occlusion_cost(settings, world),
         "moving_obstacle_cost": cost_of_others(settings),
     }
     if settings.architecture == "explorer":
@@ -91,7 +91,7 @@ def _has_moving(settings: Settings, world: RunWorld) -> bool:
     return bool(world.movers) or has_others(settings) or expects_people(settings, world)
 
 
-def _occlusion_cost(settings: Settings, world: RunWorld) -> OcclusionCost | None:
+def build_occlusion_cost(settings: Settings, world: RunWorld) -> OcclusionCost | None:
     """Return the cost of places that can hide somebody, where people are expected."""
     if not expects_people(settings, world):
         return None
@@ -173,7 +173,7 @@ def _portfolio(settings: Settings, world: RunWorld, chassis: Chassis | None) -> 
             goal,
             has_terrain=world.ground is not None,
             has_moving_obstacles=_has_moving(settings, world),
-            occlusion_cost=_occlusion_cost(settings, world),
+            occlusion_cost=build_occlusion_cost(settings, world),
             chassis=chassis,
         ),
         members=given.members if given.weights is None else given.weights,

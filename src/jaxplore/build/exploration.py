@@ -8,7 +8,7 @@ from jaxplore.belief.car import car_motion
 from jaxplore.belief.part import Part
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.tracks import ObstacleTracker
-from jaxplore.build.controllers import build_controller
+from jaxplore.build.controllers import build_controller, build_occlusion_cost
 from jaxplore.build.fleet import build_fleet
 from jaxplore.build.localisation import build_localisation
 from jaxplore.build.parts import (
@@ -103,7 +103,11 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         **arguments(settings.rates, ExplorationScenario),
     ).with_variation(build_variation(settings.variation))
     has_guard = settings.guard and settings.fleet is None
-    return scenario.with_guard(MotionGuard() if has_guard else None)
+    # A quadrotor's camera does not show where people come from: with the limit of speeds it lost
+    # half of its way, and touched as many of them per metre.
+    is_flying = "z" in robot.state_names
+    occlusion = None if is_flying else build_occlusion_cost(settings, world)
+    return scenario.with_guard(MotionGuard(occlusion=occlusion) if has_guard else None)
 
 
 def _choose_max_unknown(settings: Settings) -> float | None:

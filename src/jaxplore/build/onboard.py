@@ -6,6 +6,7 @@ import numpy as np
 from jaxplore import _checks
 from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import Perception
+from jaxplore.build.controllers import build_occlusion_cost
 from jaxplore.build.exploration import build_in, build_scenario
 from jaxplore.build.localisation import build_localisation
 from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
@@ -145,7 +146,11 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
             world = world._replace(goal=(0.0, 0.0))
         made = build_in(settings, robot, world)
         assert isinstance(made.scenario, ExplorationScenario)
-        pilot = Pilot(made.scenario, made.controller, key, options, localisation=localisation)
+        pilot = Pilot(
+            *(made.scenario, made.controller, key, options),
+            localisation=localisation,
+            occlusion=build_occlusion_cost(settings, world),
+        )
     pilot.is_started = node.is_autostarted
     return pilot
 

@@ -22,7 +22,9 @@ from jaxplore.control.stops import (
     next_stop,
 )
 from jaxplore.control.validation import StopCheck, Validated
-from jaxplore.dynamics.base import Dynamics
+from jaxplore.costs.occlusion import OcclusionCost
+from jaxplore.dynamics.base import Dynamics, State
+from jaxplore.sensing.clusters import Edges
 
 LATE = 1.5
 """Multiple of the time between two scans that a scan may be old, where that is more than the age
@@ -35,6 +37,12 @@ NOISE = 1e-6
 """Squared relative error of a prediction that is rounding."""
 WALL_MARGIN = 0.0
 """Margin of the check of commands [m]: less than the margins of costs, or both would be at odds."""
+PASSING = 0.45
+"""Speed at which the guard lets a robot pass any place that can hide somebody [m/s]. It is more
+than the slowest speed of `OcclusionCost`, which a controller weighs against its way: the explorer
+passes at 0.43 m/s, and at 0.3 m/s would lose a quarter of it."""
+LEAST_CHANGE = 1e-6
+"""Difference of speeds below which braking is no slower than a command [m/s]."""
 _POSE = ("x", "y", "z", "yaw")
 
 
@@ -123,7 +131,8 @@ class MotionGuard(eqx.Module):
     controller then plans from the state in which its command takes effect, `predict_state`.
 
     A command is checked against the newest scan (`keep_clear`): it is replaced by one that brakes
-    if the robot could not stand after it without coming too close to what the scan has met.
+    if the robot could not stand after it without coming too close to what the scan has met. Where
+    people are expected, it is slowed down first near places that can hide somebody (`slow_down`).
 
     Args:
         max_frozen: time for which the pose may be the same while the robot should move [s].
@@ -131,6 +140,7 @@ class MotionGuard(eqx.Module):
         check: check of commands and braking trajectories; a `StopCheck` without a margin when
             absent.
         max_age: greatest age of a scan [s].
+        occlusion: cost whose speeds hold near places that can hide somebody; none when absent.
 
     Raises:
         ValueError: a time that is not positive, a delay that is not a whole number >= 0.
@@ -139,6 +149,7 @@ class MotionGuard(eqx.Module):
     max_frozen: Scalar
     max_age: Scalar
     check: StopCheck
+    occlusion: OcclusionCost | None
     max_delay: int = eqx.field(static=True)
 
     def __init__(
@@ -148,12 +159,15 @@ class MotionGuard(eqx.Module):
         check: StopCheck | None = None,
         *,
         max_age: ArrayLike = MAX_AGE,
+        occlusion: OcclusionCost | None = None,
     ) -> None:
         _kinds.instance("check", check, StopCheck, may_be_none=True)
+        _kinds.instance("occlusion", occlusion, OcclusionCost, may_be_none=True)
         self.max_frozen = _checks.scalar("max_frozen", max_frozen, above=0.0)
         self.max_age = _checks.scalar("max_age", max_age, above=0.0)
         self.max_delay = _checks.whole_number("max_delay", max_delay, at_least=0)
         self.check = StopCheck(WALL_MARGIN) if check is None else check
+        self.occlusion = occlusion
 
     def init(self, robot: Dynamics, state: StateVector) -> GuardState:
         """Return the state of the guard of a robot at rest.
@@ -248,6 +262,44 @@ class MotionGuard(eqx.Module):
         is_due = (age <= self.delay(state, known)) & (age > known)
         durations = jnp.where(is_due, period, 0.0)
         return predict_state(robot, state.expected, state.commands, durations, period)
+
+    def slow_down(
+        self,
+        robot: Dynamics,
+        start: StateVector,
+        control: ControlVector,
+        edges: Edges | None,
+        period: Scalar,
+    ) -> ControlVector:
+        """Return the command (nu,), or one between it and the hardest braking, after which the
+        robot could stand before somebody who comes out of hiding, or is no faster than `PASSING`.
+
+        With v the speed after a period of the command u, v_0 that after a period of the braking
+        u_0, and a the allowed one, `OcclusionCost.allowed_speed` or `PASSING` if that is more:
+
+            u + s (u_0 - u),   s = (v - a) / (v - v_0), limited to [0, 1]
+
+        A robot whose speed or acceleration is a control has the speed a then. One that cannot be so
+        slow after a period brakes.
+
+        Args:
+            robot: model of the robot.
+            start: (nx,) state in which the command takes effect.
+            control: (nu,) the command; one that is not finite stays.
+            edges: edges behind which somebody can be hidden; None if nobody is expected.
+            period: control period [s].
+        """
+        if self.occlusion is None or edges is None:
+            return control
+        stopping = robot.stopping_control(start, period)
+        after = robot.step(start, control, period)
+        allowed = self.occlusion.allowed_speed(State(after, robot, control), edges)
+        speed = _speed(robot, after, control)
+        braked = _speed(robot, robot.step(start, stopping, period), stopping)
+        excess = speed - jnp.maximum(allowed, PASSING)
+        share = jnp.clip(excess / jnp.maximum(speed - braked, LEAST_CHANGE), 0.0, 1.0)
+        # What is not finite compares as false: such a command stays as it is.
+        return jnp.where(excess > 0.0, control + share * (stopping - control), control)
 
     def keep_clear(
         self,
@@ -365,3 +417,9 @@ class MotionGuard(eqx.Module):
         kept = jnp.exp(-period / MEMORY_SECONDS)
         mixed = kept * state.errors + (1.0 - kept) * error
         return jnp.where(jnp.isfinite(mixed), mixed, state.errors)
+
+
+def _speed(robot: Dynamics, state: StateVector, control: ControlVector) -> Scalar:
+    """Return how fast a robot moves over the ground [m/s]."""
+    ahead, left, _ = robot.twist(state, control)
+    return jnp.sqrt(ahead * ahead + left * left)

@@ -68,7 +68,17 @@ class OcclusionCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the cost of the speed of a state."""
-        edges: Edges = part(belief, "tracks").edges
+        allowed = self.allowed_speed(state, part(belief, "tracks").edges)
+        excess = jnp.maximum(jnp.abs(state.speed) - allowed, 0.0)
+        return excess * excess
+
+    def allowed_speed(self, state: State, edges: Edges) -> Scalar:
+        """Return the speed that costs nothing in a state, max(u(d), slowest) [m/s].
+
+        Args:
+            state: state of the robot.
+            edges: edges behind which something can be hidden.
+        """
         parts, radius = levers(state), state.dynamics.footprint.radius
 
         def away(edge: tuple[jax.Array, jax.Array]) -> Scalar:
@@ -83,5 +93,4 @@ class OcclusionCost(Cost):
         # Without an edge the root would be infinite, and its product with 0 NaN.
         room = jnp.minimum(room, FAR)
         allowed = jnp.sqrt(w * w + 2.0 * self.deceleration * room) - w
-        excess = jnp.maximum(jnp.abs(state.speed) - jnp.maximum(allowed, self.slowest), 0.0)
-        return excess * excess
+        return jnp.maximum(allowed, self.slowest)

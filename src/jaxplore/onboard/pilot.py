@@ -13,6 +13,7 @@ from jaxplore.control.base import Controller
 from jaxplore.control.guard import MotionGuard
 from jaxplore.control.stops import GOOD, MISFIT
 from jaxplore.control.validation import StopCheck
+from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.dynamics.goal_check import Motion
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
@@ -70,6 +71,7 @@ class Pilot:
         task: what the robot drives for; exploration when absent.
         localisation: how the robot finds its pose in its map, of which the localiser and what
             closes loops are used; the odometry is taken as true when absent.
+        occlusion: cost whose speeds hold near places that can hide somebody, see `MotionGuard`.
 
     Raises:
         ValueError: an argument of another class, a scenario with several sensors.
@@ -83,6 +85,7 @@ class Pilot:
         options: PilotOptions | None = None,
         task: DriveTask | None = None,
         localisation: Localisation | None = None,
+        occlusion: OcclusionCost | None = None,
     ) -> None:
         _kinds.instance("scenario", scenario, ExplorationScenario)
         _kinds.instance("controller", controller, Controller)
@@ -100,6 +103,7 @@ class Pilot:
             self.options.max_frozen,
             check=StopCheck(self.options.margin),
             max_age=self.options.max_age,
+            occlusion=occlusion,
         )
         self.is_started = True
         self.log = DriveLog(scenario)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxplore._types import ControlVector, Key, Scalar, StateVector
+from jaxplore.belief.tracks import Tracks
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import GuardState, MotionGuard, ScanPoints
 from jaxplore.control.latency import LatencyCompensation
@@ -88,7 +89,8 @@ class Driver(NamedTuple):
     ) -> tuple[Validated, Any, Info]:
         """Return the command that is planned from the state (nx,) in which it takes effect.
 
-        The guard, which there must be, has checked it against the newest scan. `age` is the time
+        The guard, which there must be, has slowed it down where somebody can be hidden, and checked
+        it against the newest scan. `age` is the time
         from the scan to the effect of the command [s]. The state of the controller after it and
         what it says follow.
         """
@@ -96,6 +98,9 @@ class Driver(NamedTuple):
         control, memory, info = self.controller.step(memory, start, belief, key=key)
         # A command that is not finite is none: the robot's base then brakes.
         control = jnp.where(jnp.isfinite(start).all(), control, jnp.nan)
+        tracks: Tracks | None = getattr(belief, "tracks", None)
+        edges = None if tracks is None else tracks.edges
+        control = self.guard.slow_down(self.model, start, control, edges, self.period)
         checked = self.guard.keep_clear(self.model, start, control, points, age, self.period)
         return checked, memory, info
 
