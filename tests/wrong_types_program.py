@@ -265,6 +265,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "PoseInformation": {},
         "QuadraticControlCost": {"weights": [1.0, 1.0]},
         "target_explorer": {"rule": "nearest-frontier", "perception": scenario.perception},
+        "KeepOut": {"areas": [[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]]},
         "Recognition": {"detector": sensing.Detector(("a", "b"), [[0.9, 0.1], [0.2, 0.8]])},
         "Rectangle": {"front": 0.5, "rear": 0.5, "width": 0.5},
         "ReferenceCost": {"reference": np.zeros((4, 2)), "period": 0.1},

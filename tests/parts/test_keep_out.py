@@ -155,7 +155,7 @@ def test_an_area_over_the_start_or_around_all_targets_is_named() -> None:
 def test_areas_that_are_none_are_named() -> None:
     with pytest.raises(ValueError, match="areas is empty without a mask; accepted: polygons, or"):
         KeepOut()
-    with pytest.raises(ValueError, match=r"polygons\[0\] is .*; accepted: 3 corners or more"):
+    with pytest.raises(ValueError, match=r"areas\[0\] is .*; accepted: 3 corners or more"):
         KeepOut([[(0.0, 0.0), (1.0, 0.0)]])
     with pytest.raises(ValueError, match="number of areas is 10001; accepted: "):
         KeepOut([BOX] * 10_001)
@@ -163,7 +163,7 @@ def test_areas_that_are_none_are_named() -> None:
 
 def test_bad_settings_of_areas_get_one_line(fails, tmp_path) -> None:
     line = fails("run", "office", "--set", "keep_out.areas=[[[1,1],[2,2]]]")
-    assert "polygons[0] is" in line
+    assert "areas[0] is" in line
     line = fails("run", "office", "--set", "keep_out={}")
     assert "areas is empty without a mask" in line
     line = fails("run", "office", "--set", f"keep_out.mask={tmp_path / 'none.yaml'}")

@@ -55,12 +55,15 @@ class Outlines(eqx.Module):
         return cls(middles[:, None, :], one_each("radii", radii, middles.shape[0], at_least=0.0))
 
     @classmethod
-    def polygons(cls, polygons: Sequence[Rows], radii: Vector = 0.0) -> "Outlines":
+    def polygons(
+        cls, polygons: Sequence[Rows], radii: Vector = 0.0, *, named: str = "polygons"
+    ) -> "Outlines":
         """Build N polygons, each grown by a radius, which rounds its corners.
 
         Args:
             polygons: corners (V_n, 2) of each polygon in order, without repeating the first [m].
             radii: radii (N,), or one number for all [m].
+            named: what messages call the polygons.
 
         Raises:
             ValueError: an array of another shape, fewer than 3 corners, numbers that are not
@@ -68,7 +71,7 @@ class Outlines(eqx.Module):
         """
         rows = []
         for index, polygon in enumerate(polygons):
-            name = f"polygons[{index}]"
+            name = f"{named}[{index}]"
             corners = np.asarray(array(name, polygon, ("V", 2)), np.float64)
             if len(corners) < 3 or np.linalg.matrix_rank(corners - corners[0], 1e-6) < 2:
                 raise ValueError(

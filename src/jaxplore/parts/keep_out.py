@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxplore import _checks, _kinds
@@ -47,10 +48,11 @@ class KeepOut(Part):
 
     def __init__(self, areas: Sequence[Rows] = (), mask: OccupancyGrid | None = None) -> None:
         _kinds.instance("mask", mask, OccupancyGrid, may_be_none=True)
+        _kinds.instance("areas", areas, list, tuple, np.ndarray)
         _checks.whole_number("number of areas", len(areas), at_least=0, at_most=MOST_NAMES)
         if mask is None and not len(areas):
             raise ValueError("areas is empty without a mask; accepted: polygons, or a mask")
-        self.outlines, self.mask = Outlines.polygons(areas), mask
+        self.outlines, self.mask = Outlines.polygons(areas, named="areas"), mask
 
     def init(self, grid: OccupancyGrid) -> GridMask:
         """Return the closed cells (H, W) of a map."""
