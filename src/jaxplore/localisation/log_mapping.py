@@ -53,6 +53,8 @@ LEAST_STEP, LEAST_TURN = 0.2, 0.2
 LEAST_REACH, SEEN = 4.0, 0.75
 """Least distance within which old places are looked for [m], and the quantile of the readings that
 it is otherwise: in halls two scans see the same walls from further apart than in corridors."""
+FARTHEST_PLACE = 20.0
+"""Distance from the estimated position up to which stretches of the way are looked for [m]."""
 SCANS_PER_SEARCH = 32
 """Number of scans between two searches for closed loops."""
 FEWEST_SCANS = 8
@@ -193,7 +195,8 @@ def map_log(
         raise ValueError(
             f"localiser has room for {localiser.capacity} scans; accepted: at least {len(used)}"
         )
-    closer = LoopCloser(_find_reach(log, max_range)) if closer is None else closer
+    if closer is None:
+        closer = LoopCloser(_find_reach(log, max_range), farthest=FARTHEST_PLACE)
     on_progress(0, 0)
     drive = _Drive(
         (sensor,),
@@ -218,9 +221,13 @@ def map_log(
     for begin in range(0, len(used), SCANS_PER_SEARCH):
         end = min(begin + SCANS_PER_SEARCH, len(used))
         state, track = drive.follow(localiser, state, track, begin, end)
-        state = closer.find_loops(localiser, state, drive.sensors)
-        settled = closer.optimise_poses(localiser, state, drive.sensors)
-        state = state if settled is None else settled
+        # A second time where a stretch has moved the robot far: then single scans are matched.
+        for _ in range(2):
+            state = closer.find_loops(localiser, state, drive.sensors)
+            settled = closer.optimise_poses(localiser, state, drive.sensors)
+            state = state if settled is None else settled
+            if int(state.closures.examined) == int(state.scans.number):
+                break
         on_progress(int(used[end - 1]) + 1, int(state.closures.number))
     found = np.asarray(_poses(track, state.scans.poses), np.float64)
     estimated = _follow_odometry(found, dead_reckoned, used)
