@@ -91,19 +91,20 @@ def test_a_patch_is_found_metres_from_the_guess(off: tuple[float, float, float])
     np.testing.assert_allclose(found.pose[:2], pose[:2], atol=0.75 * CELL)
     assert found.pose[2] == pytest.approx(pose[2], abs=TURN_SPACING)
     assert found.score > 0.9
-    assert found.rival < 0.7 * found.score
+    assert found.rival < 0.8 * found.score
     assert found.is_inside
 
 
 def test_a_place_that_is_there_twice_has_a_rival() -> None:
-    place = Patch(*(np.concatenate([each, each + [0.0, 8.0]]) for each in (WALLS[:-55], FREE)))
+    again = np.array([0.0, 8.0])
+    place = Patch(*(np.concatenate([each, each + again]) for each in (WALLS[:-55], FREE)))
     found = find_patch(Patch(WALLS[:-55], FREE), place, np.array([0.0, 3.0, 0.0]), 7.0, 0.1)
     assert found.rival == pytest.approx(found.score, abs=0.01)
 
 
 def test_walls_in_free_space_count_against_a_place() -> None:
-    """The lane turned by 90 degrees, where the old scans have seen free space."""
-    hall = Patch(WALLS + [0.0, 40.0], np.mgrid[-10:10:0.25, -10:10:0.25].reshape(2, -1).T)
+    """The old scans have seen free space all around; then they have not been there."""
+    hall = Patch(WALLS + np.array([0.0, 40.0]), np.mgrid[-10:10:0.25, -10:10:0.25].reshape(2, -1).T)
     found = find_patch(Patch(WALLS, FREE), hall, np.zeros(3), 1.0, 0.02)
     assert found.score < -0.9
     unknown = find_patch(Patch(WALLS, FREE), Patch(hall.occupied, FREE[:0]), np.zeros(3), 1.0, 0.02)

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from jaxplore import _checks, _kinds
@@ -21,6 +21,7 @@ from jaxplore._types import Count, Key
 from jaxplore.geometry.motion import between, compose
 from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
 from jaxplore.localisation.closing import LoopCloser, pose_graph, rebuild_surface
+from jaxplore.localisation.joint_poses import Lines, refine_poses
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.log_drawing import (
     WHOLE,
@@ -38,8 +39,9 @@ from jaxplore.localisation.log_odometry import (
 from jaxplore.localisation.log_trust import Trust, judge_poses
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import OdometryModel
-from jaxplore.localisation.pose_graph import expected_error
 from jaxplore.localisation.scan_matching import FARTHEST, ScanMatcher
+from jaxplore.localisation.stored_scans import StoredScans
+from jaxplore.localisation.surface import EndPoints
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.beams import Beams, Scan
@@ -229,7 +231,10 @@ def map_log(
             if int(state.closures.examined) == int(state.scans.number):
                 break
         on_progress(int(used[end - 1]) + 1, int(state.closures.number))
-    found = np.asarray(_poses(track, state.scans.poses), np.float64)
+    joint = refine_poses(pose_graph(state), _lines(localiser, state, sensor))
+    stored = np.asarray(state.scans.poses).copy()
+    stored[: len(joint.poses)] = joint.poses
+    found = np.asarray(_poses(track, jnp.asarray(stored)), np.float64)
     estimated = _follow_odometry(found, dead_reckoned, used)
     true = log.poses - np.append(start, 0.0) if has_truth else None
     loops = np.asarray(state.closures.pairs)[: int(state.closures.number)].astype(np.int64)
@@ -245,7 +250,7 @@ def map_log(
         None if true is None else draw_map(sensor, scans, true[used], resolution),
         at,
         model,
-        judge_poses(_part_of(log, used), found, max_range, expected_error(pose_graph(state))),
+        judge_poses(_part_of(log, used), found, max_range, joint.expected_error),
     )
 
 
@@ -407,6 +412,31 @@ def _localise(
 
     result: tuple[LocaliserState, _Track] = jax.lax.fori_loop(first, end, step, (state, track))
     return result
+
+
+def _lines(localiser: Localiser, state: LocaliserState, sensor: Beams) -> list[Lines]:
+    """Return the lines of each stored scan."""
+    number = int(state.scans.number)
+    found = _end_points(localiser, state.scans, sensor)
+    points, normals, is_flat = (np.asarray(each) for each in found)
+    return [
+        Lines(*(rows[index][is_flat[index]].astype(np.float64) for rows in (points, normals)))
+        for index in range(number)
+    ]
+
+
+@eqx.filter_jit
+def _end_points(
+    localiser: Localiser, scans: StoredScans, sensor: Beams
+) -> tuple[Float[Array, "K B 2"], Float[Array, "K B 2"], Bool[Array, "K B"]]:
+    """Return the points of stored scans on their lines, the normals, and which are on lines."""
+
+    def of(index: Count) -> EndPoints:
+        return localiser.end_points(scans.scan(index, (sensor,))[0], sensor)
+
+    ends = jax.lax.map(of, jnp.arange(scans.capacity))
+    away = ((ends.points - ends.anchors) * ends.normals).sum(axis=-1, keepdims=True)
+    return ends.points - away * ends.normals, ends.normals, ends.is_flat
 
 
 @eqx.filter_jit

@@ -154,12 +154,17 @@ def expected_error(graph: Graph) -> float:
             for i, one in zip(nodes, turns, strict=True)
         ]
     )
-    x, y = (graph.poses[nodes, :2] - graph.poses[nodes, :2].mean(axis=0)).T
-    moves = np.zeros((2 * len(nodes), 3))
+    return error_of_positions(graph.poses[nodes, :2], covariance)
+
+
+def error_of_positions(positions: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the error of positions (M, 2) after an alignment, by their covariance (2 M, 2 M)."""
+    x, y = (positions - positions.mean(axis=0)).T
+    moves = np.zeros((2 * len(positions), 3))
     moves[::2, 0], moves[1::2, 1] = 1.0, 1.0
     moves[::2, 2], moves[1::2, 2] = -y, x
     rigid = moves @ np.linalg.pinv(moves)
-    return float(np.sqrt(max(np.trace(covariance - rigid @ covariance), 0.0) / len(nodes)))
+    return float(np.sqrt(max(np.trace(covariance - rigid @ covariance), 0.0) / len(positions)))
 
 
 def _problem(library: Any, graph: Graph, noise_of_first: Any) -> tuple[Any, Any]:

@@ -22,7 +22,7 @@ from jaxplore.localisation.surface import EndPoints
 from jaxplore.sensing.beams import Beams
 
 LENGTH, SPACING, NEIGHBOURS = 15.0, 5.0, 15.0
-"""Length of a stretch, the way between the ends of two, and that within which they must agree [m]."""
+"""Length of a stretch, way between the ends of two, and that within which they must agree [m]."""
 LEAST_REACH, LEAST_TURN, MOST_TURN = 3.0, 0.1, 0.4
 """Least distance from the estimated position within which a stretch is looked for [m], least and
 greatest turn [rad]."""
@@ -114,12 +114,13 @@ def find_stretch_loops(
     reach: float,
     farthest: float,
 ) -> list[StretchLoop]:
-    """Return two loops that the newest stretches of the way close; none unless both agree.
+    """Return the loops that the newest stretches of the way close; none of one alone.
 
-    A stretch is the last 15 m of the way. Where it lies among the old scans, is searched for around
-    its estimated pose, as far as the pose graph allows (`find_patch`). It must agree well there, and
-    at no other position nearly as well. The stretch that ended 10 m before must say the same. Then
-    both are matched exactly, to the surfaces of the old scans around them.
+    A stretch is 15 m of the way; one ends every 5 m. Where it lies among the old scans, is searched
+    for around its estimated pose, as far as the pose graph allows (`find_patch`). It must agree
+    well there, and at no other position nearly as well. Another stretch near it must say the same,
+    and no more of them may contradict than agree. Then it is matched exactly, to the surfaces of
+    the old scans around it. What the pose graph knows to 0.1 m is not looked for.
 
     Source: Olson, "Recognizing places using spectrally clustered local matches", Robotics and
     Autonomous Systems 2009, for sets of consistent hypotheses; Mangelson et al., "Pairwise
@@ -223,7 +224,9 @@ def _find_stretch(
     )
     found: PlaceOfPatch = find_patch(patch, place, graph.poses[middle], shift, most_turn)
     is_clear = found.score >= max(LEAST_SCORE, found.rival + LEAST_LEAD)
-    return _Stretch(scans, middle, found.pose, found.score) if is_clear and found.is_inside else None
+    return (
+        _Stretch(scans, middle, found.pose, found.score) if is_clear and found.is_inside else None
+    )
 
 
 def _agree(graph: Graph, one: _Stretch, other: _Stretch) -> bool:

@@ -87,9 +87,9 @@ def find_patch(
 
         sum over c of O(c) (B - G)(c + s) - F(c) P(c + s), divided by the number of cells of O
 
-    for all shifts at once by the Fourier transform. Where walls are, B counts for it; a wall of the
-    one where the other has seen free space counts against it; what only one has seen does not count.
-    A free cell beside an occupied one is not free.
+    for all shifts at once by the Fourier transform. Where walls are, B counts for it. A wall of
+    the one where the other has seen free space counts against it. What only one has seen does not
+    count. A free cell beside an occupied one is not free.
 
     Source: Olson, "Real-time correlative scan matching", ICRA 2009, for the exhaustive search;
     Konolige and Chou, "Markov localization using correlation", IJCAI 1999.
@@ -125,7 +125,7 @@ def find_patch(
     away = CELL * np.hypot(shifts[:, None] - shifts[right], shifts - shifts[up])
     others = scores.max(axis=0)[away > APART]
     pose = np.array([*(guess[:2] + CELL * shifts[[right, up]]), yaws[yaw]])
-    is_inside = 0 < yaw < len(yaws) - 1 and max(abs(shifts[right]), abs(shifts[up])) < steps
+    is_inside = bool(0 < yaw < len(yaws) - 1 and max(abs(shifts[right]), abs(shifts[up])) < steps)
     return PlaceOfPatch(pose, float(scores[best]), float(others.max(initial=0.0)), is_inside)
 
 
