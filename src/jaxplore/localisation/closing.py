@@ -25,7 +25,7 @@ from jaxplore.geometry.trajectory import motions_between
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
 from jaxplore.localisation.pose_graph import Graph, motion_covariances, optimise
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
-from jaxplore.localisation.stretch_loops import find_stretch_loops, greatest_spread
+from jaxplore.localisation.stretch_loops import find_stretch_loops, greatest_difference
 from jaxplore.sensing.beams import Beams, Scan
 
 PLACE = 4.0
@@ -195,6 +195,7 @@ class LoopCloser(eqx.Module):
         if not farthest:
             return state, False
         graph = pose_graph(state)
+        graph = graph._replace(poses=graph.poses.astype(float))
         reach = float(self.reach)
         loops = find_stretch_loops(localiser, state, sensors, graph, self.matcher, reach, farthest)
         closures = state.closures
@@ -205,7 +206,7 @@ class LoopCloser(eqx.Module):
                 jnp.asarray(each.motion, jnp.float32),
                 jnp.asarray(each.covariance, jnp.float32),
             )
-        is_far = bool(loops) and greatest_spread(graph, loops) > FAR
+        is_far = bool(loops) and greatest_difference(graph, loops) > FAR
         return state._replace(closures=closures), is_far
 
     def _is_likely(self, state: LocaliserState, older: int, newer: int, found: _Found) -> bool:

@@ -8,7 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxplore.geometry.trajectory import motions_between
-from jaxplore.localisation.pose_graph import HUBER, MOST_NODES, Graph, error_of_positions
+from jaxplore.localisation.pose_graph import (
+    HUBER,
+    MOST_NODES,
+    Graph,
+    error_of_positions,
+    spread_evenly,
+)
 
 NEAR, NEIGHBOURS = 12.0, 40
 """Distance within which scans are compared [m], and with how many others each at most."""
@@ -95,7 +101,7 @@ def refine_poses(graph: Graph, lines: Sequence[Lines]) -> JointPoses:
         _add_graph(system, poses, graph)
         factor = splu(system.matrix())
         poses = poses - factor.solve(system.slope.reshape(-1)).reshape(-1, 3)
-    nodes = np.unique(np.linspace(0, len(poses) - 1, MOST_NODES).round().astype(int))
+    nodes = spread_evenly(len(poses), MOST_NODES)
     rows = (3 * nodes[:, None] + np.arange(2)).reshape(-1)
     unit = np.zeros((3 * len(poses), len(rows)))
     unit[rows, np.arange(len(rows))] = 1.0
@@ -135,11 +141,8 @@ def _neighbours(poses: _Floats, node: int) -> NDArray[np.int64]:
     """Return the nodes near one, evenly spread over those that are."""
     near = np.flatnonzero(np.hypot(*(poses[:, :2] - poses[node, :2]).T) <= NEAR)
     near = near[near != node]
-    return (
-        near[np.unique(np.linspace(0, len(near) - 1, NEIGHBOURS).round().astype(int))]
-        if len(near)
-        else near
-    )
+    chosen: NDArray[np.int64] = near[spread_evenly(len(near), NEIGHBOURS)]
+    return chosen
 
 
 def _turn(points: _Floats, yaw: Any) -> _Floats:

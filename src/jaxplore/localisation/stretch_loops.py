@@ -15,7 +15,7 @@ from jaxplore._types import Count, Pose
 from jaxplore.geometry.motion import Matrix, between, rotation
 from jaxplore.geometry.trajectory import motions_between
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
-from jaxplore.localisation.pose_graph import Graph, motion_covariances
+from jaxplore.localisation.pose_graph import Graph, motion_covariances, spread_evenly
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
 from jaxplore.localisation.stretches import Patch, PlaceOfPatch, find_patch
 from jaxplore.localisation.surface import EndPoints
@@ -76,7 +76,7 @@ class _Stretch(NamedTuple):
     score: float
 
 
-class Uncertainty(NamedTuple):
+class _Uncertainty(NamedTuple):
     """How exactly the newest scan is known as seen from old ones.
 
     Args:
@@ -90,9 +90,9 @@ class Uncertainty(NamedTuple):
     yaw: np.ndarray
 
     @classmethod
-    def of(cls, graph: Graph, number_of_old: int) -> "Uncertainty":
+    def of(cls, graph: Graph, number_of_old: int) -> "_Uncertainty":
         """Return that of the last scan of a graph, as seen from some of the first ones."""
-        nodes = np.unique(np.linspace(0, number_of_old - 1, NUM_NODES).round().astype(np.int64))
+        nodes = spread_evenly(number_of_old, NUM_NODES)
         covariances = motion_covariances(graph, nodes.tolist(), len(graph.poses) - 1)
         greatest = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]
         return cls(nodes, np.sqrt(np.maximum(greatest, 0.0)), np.sqrt(covariances[:, 2, 2]))
@@ -144,7 +144,7 @@ def find_stretch_loops(
     away = np.hypot(*(graph.poses[old, :2] - graph.poses[-1, :2]).T)
     if away.min() > farthest + reach + way[-1] - begin:
         return []
-    uncertainty = Uncertainty.of(graph, len(old))
+    uncertainty = _Uncertainty.of(graph, len(old))
     # Backwards from the newest one, and one of those before: it may confirm the first new one.
     ends = np.arange(way[-1], max(begin - SPACING, LENGTH), -SPACING)
     found = []
@@ -187,7 +187,7 @@ def _confirmed(graph: Graph, way: np.ndarray, found: Sequence[_Stretch]) -> list
     return kept
 
 
-def greatest_spread(graph: Graph, loops: Sequence[StretchLoop]) -> float:
+def greatest_difference(graph: Graph, loops: Sequence[StretchLoop]) -> float:
     """Return the greatest distance of loops from the present poses of a graph [m]."""
     pairs = np.array([(each.older, each.newer) for each in loops])
     now = motions_between(graph.poses[pairs[:, 0]], graph.poses[pairs[:, 1]])
@@ -197,7 +197,8 @@ def greatest_spread(graph: Graph, loops: Sequence[StretchLoop]) -> float:
 
 def _thin(indices: _Indices, most: int) -> _Indices:
     """Return at most so many of the indices, evenly spread."""
-    return indices[np.unique(np.linspace(0, len(indices) - 1, most).round().astype(int))]
+    chosen: _Indices = indices[spread_evenly(len(indices), most)]
+    return chosen
 
 
 def _find_stretch(
@@ -300,5 +301,5 @@ def _match(
     match: ScanMatch = matcher(place, ends, guess, loose, jnp.zeros(()))
     back = rotation(poses[older, 2]).T
     # The scans meet the same walls, whose errors they share: together they tell what one would.
-    covariance = num_scans * match.covariance + floor()
+    covariance = num_scans.astype(jnp.float32) * match.covariance + floor()
     return between(poses[older], match.pose), back @ covariance @ back.T
