@@ -27,7 +27,7 @@ WIDEST, NARROWEST, NARROWING = (0.6, 0.3), (0.2, 0.1), 0.7
 the end, and the factor from one step to the next [m]."""
 STEPS = 6
 """Number of steps of Gauss-Newton."""
-STD, SHARED = 0.04, 60.0
+STD, SHARED = 0.04, 100.0
 """Standard deviation of the distances [m], and number of points that count as one: neighbouring
 beams meet one wall, and the scans that are compared share its errors."""
 _Floats = NDArray[np.float64]

@@ -21,7 +21,7 @@ from jaxplore._types import Count, Key
 from jaxplore.geometry.motion import between, compose
 from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
 from jaxplore.localisation.closing import LoopCloser, pose_graph, rebuild_surface
-from jaxplore.localisation.joint_poses import Lines, refine_poses
+from jaxplore.localisation.joint_poses import JointPoses, Lines, refine_poses
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.log_drawing import (
     WHOLE,
@@ -36,9 +36,10 @@ from jaxplore.localisation.log_odometry import (
     measure_motions,
     wide_odometry,
 )
-from jaxplore.localisation.log_trust import Trust, judge_poses
+from jaxplore.localisation.log_trust import MOST_EXPECTED, Trust, judge_poses
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import OdometryModel
+from jaxplore.localisation.pose_graph import expected_error
 from jaxplore.localisation.scan_matching import FARTHEST, ScanMatcher
 from jaxplore.localisation.stored_scans import StoredScans
 from jaxplore.localisation.surface import EndPoints
@@ -231,7 +232,11 @@ def map_log(
             if int(state.closures.examined) == int(state.scans.number):
                 break
         on_progress(int(used[end - 1]) + 1, int(state.closures.number))
-    joint = refine_poses(pose_graph(state), _lines(localiser, state, sensor))
+    graph = pose_graph(state)
+    joint = refine_poses(graph, _lines(localiser, state, sensor))
+    if joint.expected_error > MOST_EXPECTED:
+        # Where walls are bare their lines slide along each other: the graph alone is nearer.
+        joint = JointPoses(graph.poses.astype(np.float64), expected_error(graph))
     stored = np.asarray(state.scans.poses).copy()
     stored[: len(joint.poses)] = joint.poses
     found = np.asarray(_poses(track, jnp.asarray(stored)), np.float64)
