@@ -132,8 +132,8 @@ def map_log(
     first pose. How wrong the odometry is, is fitted: the first 384 scans are matched with errors of
     any robot, and the differences of the matched motions from the measured ones say the rest. Scans
     less than 0.2 m and 0.2 rad after the last one that was used are left out; their poses follow by
-    the odometry. Every 32 scans loops are closed. At the end all used scans are drawn at their
-    poses, as estimated then.
+    the odometry. Every 32 scans loops are closed. At the end all poses are refined together, if
+    that makes them known to 0.15 m, and all used scans are drawn at them.
 
     The map of surfaces is as large as the odometry says. An odometry may be wrong by more: where
     scans leave that map, it is moved to the robot, and the surfaces of late are made anew in it.
@@ -151,7 +151,8 @@ def map_log(
         localiser: localiser; by default one for this odometry that stores a scan every 0.25 m. It
             must have room for all used scans.
         closer: closes loops; when absent, with the default numbers but for the reach, which is the
-            upper quartile of the readings if that is more than 4 m.
+            upper quartile of the readings if that is more than 4 m, and with stretches of the way
+            that are looked for up to 20 m away.
         on_progress: called with the number of scans and of closed loops so far; first with 0, after
             all checks.
 
