@@ -25,12 +25,15 @@ from jaxplore.geometry.trajectory import motions_between
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
 from jaxplore.localisation.pose_graph import Graph, motion_covariances, optimise
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
+from jaxplore.localisation.stretch_loops import find_stretch_loops, greatest_difference
 from jaxplore.sensing.beams import Beams, Scan
 
 PLACE = 4.0
 """Way before and behind an old scan whose scans make up the place where it was taken [m]."""
 MOST_PLACES = 64
 """Number of old places whose uncertainty is computed at a time."""
+FAR = 0.5
+"""Distance that a stretch moves the robot from which on single scans are matched afterwards [m]."""
 CLEAR = 0.3
 """Distance before what a beam met from which on a point contradicts the beam [m]."""
 
@@ -64,6 +67,9 @@ class LoopCloser(eqx.Module):
         most_stds: greatest difference of a match from the pose graph, in standard deviations. Right
             matches of dense scans are within 2; between sparse ones covariances are several times
             too small.
+        farthest: distance from the estimated position up to which whole stretches of the way are
+            looked for in the old map [m], if the pose graph says that the robot may be that far
+            off; 0 for no stretches.
         matcher: matches a scan to an old place; it searches 1 m and 0.25 rad by default.
 
     Raises:
@@ -76,6 +82,7 @@ class LoopCloser(eqx.Module):
     most_contradicted: Scalar
     tolerance: Scalar
     most_stds: Scalar
+    farthest: Scalar
     matcher: ScanMatcher
 
     def __init__(
@@ -87,6 +94,7 @@ class LoopCloser(eqx.Module):
         most_contradicted: ArrayLike = 0.1,
         tolerance: ArrayLike = 0.03,
         most_stds: ArrayLike = 7.0,
+        farthest: ArrayLike = 0.0,
         matcher: ScanMatcher | None = None,
     ) -> None:
         self.reach = _checks.scalar("reach", reach, above=0.0)
@@ -97,6 +105,7 @@ class LoopCloser(eqx.Module):
         )
         self.tolerance = _checks.scalar("tolerance", tolerance, above=0.0)
         self.most_stds = _checks.scalar("most_stds", most_stds, above=0.0)
+        self.farthest = _checks.scalar("farthest", farthest, at_least=0.0)
         _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
         if matcher is None:
             matcher = ScanMatcher(steps=8, spacing=0.125, turn_spacing=0.03, iterations=10)
@@ -133,9 +142,14 @@ class LoopCloser(eqx.Module):
         begin = int(closures.examined)
         if begin >= number:
             return state
-        poses, way = (np.asarray(each)[:number] for each in (state.scans.poses, state.scans.way))
         closed = np.asarray(closures.pairs)[: int(closures.number), 1]
-        last = way[closed[-1]] if len(closed) else -np.inf
+        state, is_far = self._find_stretches(localiser, state, sensors)
+        closures = state.closures
+        if is_far:
+            # Single scans are looked for where the robot is, once the poses are right.
+            return state
+        poses, way = (np.asarray(each)[:number] for each in (state.scans.poses, state.scans.way))
+        last = way[closed.max()] if len(closed) else -np.inf
         for newer in range(begin, number):
             if way[newer] - last < float(self.spacing):
                 continue
@@ -172,6 +186,28 @@ class LoopCloser(eqx.Module):
             state = state._replace(drift=turned @ found.covariance @ turned.T)
         closures = closures._replace(examined=jnp.asarray(number, jnp.int32))
         return state._replace(closures=closures)
+
+    def _find_stretches(
+        self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
+    ) -> tuple[LocaliserState, bool]:
+        """Return the state with the loops of stretches, and whether they move the robot far."""
+        farthest = float(self.farthest)
+        if not farthest:
+            return state, False
+        graph = pose_graph(state)
+        graph = graph._replace(poses=graph.poses.astype(float))
+        reach = float(self.reach)
+        loops = find_stretch_loops(localiser, state, sensors, graph, self.matcher, reach, farthest)
+        closures = state.closures
+        for each in loops:
+            closures = closures.with_loop(
+                jnp.asarray(each.older, jnp.int32),
+                jnp.asarray(each.newer, jnp.int32),
+                jnp.asarray(each.motion, jnp.float32),
+                jnp.asarray(each.covariance, jnp.float32),
+            )
+        is_far = bool(loops) and greatest_difference(graph, loops) > FAR
+        return state._replace(closures=closures), is_far
 
     def _is_likely(self, state: LocaliserState, older: int, newer: int, found: _Found) -> bool:
         """Check whether a match agrees with the motion by the pose graph (chi-square test).

@@ -6,6 +6,7 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Int
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Flag, Key, Pose, Scalar
@@ -265,6 +266,34 @@ class Localiser(PoseEstimator):
             return surface.with_scan(stored.poses[index], ends, stored.way[index])
 
         surface: SurfaceMap = jax.lax.fori_loop(first, end, add, empty)
+        return surface
+
+    def surface_of_scans(
+        self,
+        state: LocaliserState,
+        indices: Int[Array, " P"],
+        number: Count,
+        sensors: Sequence[Beams],
+    ) -> SurfaceMap:
+        """Return the surfaces of any stored scans, none of which is stale at the way 0.
+
+        Args:
+            state: state with the scans.
+            indices: their indices (P,).
+            number: how many of these are used, the first ones.
+            sensors: the sensors.
+        """
+        shape: tuple[int, int] = state.surface.sums.shape  # type: ignore[assignment]
+        empty = SurfaceMap.empty(state.surface.frame, shape, self.memory)
+        stored = state.scans
+
+        def add(at: Count, surface: SurfaceMap) -> SurfaceMap:
+            index = indices[at]
+            ends = self.end_points(stored.scan(index, sensors)[0], sensors[0])
+            ends = self._fill(ends, sensors[0])
+            return surface.with_scan(stored.poses[index], ends, jnp.zeros(()))
+
+        surface: SurfaceMap = jax.lax.fori_loop(0, number, add, empty)
         return surface
 
     def end_points(self, scan: Scan, sensor: Beams) -> EndPoints:

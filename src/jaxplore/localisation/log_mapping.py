@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from jaxplore import _checks, _kinds
@@ -21,6 +21,7 @@ from jaxplore._types import Count, Key
 from jaxplore.geometry.motion import between, compose
 from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
 from jaxplore.localisation.closing import LoopCloser, pose_graph, rebuild_surface
+from jaxplore.localisation.joint_poses import JointPoses, Lines, refine_poses
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.log_drawing import (
     WHOLE,
@@ -35,11 +36,13 @@ from jaxplore.localisation.log_odometry import (
     measure_motions,
     wide_odometry,
 )
-from jaxplore.localisation.log_trust import Trust, judge_poses
+from jaxplore.localisation.log_trust import MOST_EXPECTED, Trust, judge_poses
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.odometry_model import OdometryModel
 from jaxplore.localisation.pose_graph import expected_error
 from jaxplore.localisation.scan_matching import FARTHEST, ScanMatcher
+from jaxplore.localisation.stored_scans import StoredScans
+from jaxplore.localisation.surface import EndPoints
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.beams import Beams, Scan
@@ -53,6 +56,8 @@ LEAST_STEP, LEAST_TURN = 0.2, 0.2
 LEAST_REACH, SEEN = 4.0, 0.75
 """Least distance within which old places are looked for [m], and the quantile of the readings that
 it is otherwise: in halls two scans see the same walls from further apart than in corridors."""
+FARTHEST_PLACE = 20.0
+"""Distance from the estimated position up to which stretches of the way are looked for [m]."""
 SCANS_PER_SEARCH = 32
 """Number of scans between two searches for closed loops."""
 FEWEST_SCANS = 8
@@ -127,8 +132,8 @@ def map_log(
     first pose. How wrong the odometry is, is fitted: the first 384 scans are matched with errors of
     any robot, and the differences of the matched motions from the measured ones say the rest. Scans
     less than 0.2 m and 0.2 rad after the last one that was used are left out; their poses follow by
-    the odometry. Every 32 scans loops are closed. At the end all used scans are drawn at their
-    poses, as estimated then.
+    the odometry. Every 32 scans loops are closed. At the end all poses are refined together, if
+    that makes them known to 0.15 m, and all used scans are drawn at them.
 
     The map of surfaces is as large as the odometry says. An odometry may be wrong by more: where
     scans leave that map, it is moved to the robot, and the surfaces of late are made anew in it.
@@ -146,7 +151,8 @@ def map_log(
         localiser: localiser; by default one for this odometry that stores a scan every 0.25 m. It
             must have room for all used scans.
         closer: closes loops; when absent, with the default numbers but for the reach, which is the
-            upper quartile of the readings if that is more than 4 m.
+            upper quartile of the readings if that is more than 4 m, and with stretches of the way
+            that are looked for up to 20 m away.
         on_progress: called with the number of scans and of closed loops so far; first with 0, after
             all checks.
 
@@ -193,7 +199,8 @@ def map_log(
         raise ValueError(
             f"localiser has room for {localiser.capacity} scans; accepted: at least {len(used)}"
         )
-    closer = LoopCloser(_find_reach(log, max_range)) if closer is None else closer
+    if closer is None:
+        closer = LoopCloser(_find_reach(log, max_range), farthest=FARTHEST_PLACE)
     on_progress(0, 0)
     drive = _Drive(
         (sensor,),
@@ -218,11 +225,22 @@ def map_log(
     for begin in range(0, len(used), SCANS_PER_SEARCH):
         end = min(begin + SCANS_PER_SEARCH, len(used))
         state, track = drive.follow(localiser, state, track, begin, end)
-        state = closer.find_loops(localiser, state, drive.sensors)
-        settled = closer.optimise_poses(localiser, state, drive.sensors)
-        state = state if settled is None else settled
+        # A second time where a stretch has moved the robot far: then single scans are matched.
+        for _ in range(2):
+            state = closer.find_loops(localiser, state, drive.sensors)
+            settled = closer.optimise_poses(localiser, state, drive.sensors)
+            state = state if settled is None else settled
+            if int(state.closures.examined) == int(state.scans.number):
+                break
         on_progress(int(used[end - 1]) + 1, int(state.closures.number))
-    found = np.asarray(_poses(track, state.scans.poses), np.float64)
+    graph = pose_graph(state)
+    joint = refine_poses(graph, _lines(localiser, state, sensor))
+    if joint.expected_error > MOST_EXPECTED:
+        # Where walls are bare their lines slide along each other: the graph alone is nearer.
+        joint = JointPoses(graph.poses.astype(np.float64), expected_error(graph))
+    stored = np.asarray(state.scans.poses).copy()
+    stored[: len(joint.poses)] = joint.poses
+    found = np.asarray(_poses(track, jnp.asarray(stored)), np.float64)
     estimated = _follow_odometry(found, dead_reckoned, used)
     true = log.poses - np.append(start, 0.0) if has_truth else None
     loops = np.asarray(state.closures.pairs)[: int(state.closures.number)].astype(np.int64)
@@ -238,7 +256,7 @@ def map_log(
         None if true is None else draw_map(sensor, scans, true[used], resolution),
         at,
         model,
-        judge_poses(_part_of(log, used), found, max_range, expected_error(pose_graph(state))),
+        judge_poses(_part_of(log, used), found, max_range, joint.expected_error),
     )
 
 
@@ -400,6 +418,31 @@ def _localise(
 
     result: tuple[LocaliserState, _Track] = jax.lax.fori_loop(first, end, step, (state, track))
     return result
+
+
+def _lines(localiser: Localiser, state: LocaliserState, sensor: Beams) -> list[Lines]:
+    """Return the lines of each stored scan."""
+    number = int(state.scans.number)
+    found = _end_points(localiser, state.scans, sensor)
+    points, normals, is_flat = (np.asarray(each) for each in found)
+    return [
+        Lines(*(rows[index][is_flat[index]].astype(np.float64) for rows in (points, normals)))
+        for index in range(number)
+    ]
+
+
+@eqx.filter_jit
+def _end_points(
+    localiser: Localiser, scans: StoredScans, sensor: Beams
+) -> tuple[Float[Array, "K B 2"], Float[Array, "K B 2"], Bool[Array, "K B"]]:
+    """Return the points of stored scans on their lines, the normals, and which are on lines."""
+
+    def of(index: Count) -> EndPoints:
+        return localiser.end_points(scans.scan(index, (sensor,))[0], sensor)
+
+    ends = jax.lax.map(of, jnp.arange(scans.capacity))
+    away = ((ends.points - ends.anchors) * ends.normals).sum(axis=-1, keepdims=True)
+    return ends.points - away * ends.normals, ends.normals, ends.is_flat
 
 
 @eqx.filter_jit

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxplore import _kinds
 from jaxplore._optional import import_optional
@@ -141,7 +142,7 @@ def expected_error(graph: Graph) -> float:
     Without GTSAM, and for something else than a graph, it raises a `ValueError`.
     """
     _kinds.instance("graph", graph, Graph)
-    nodes = np.unique(np.linspace(0, len(graph.poses) - 1, MOST_NODES).round().astype(int))
+    nodes = spread_evenly(len(graph.poses), MOST_NODES)
     if len(nodes) < 2:
         return 0.0
     library: Any = import_optional("gtsam", "slam")
@@ -154,12 +155,22 @@ def expected_error(graph: Graph) -> float:
             for i, one in zip(nodes, turns, strict=True)
         ]
     )
-    x, y = (graph.poses[nodes, :2] - graph.poses[nodes, :2].mean(axis=0)).T
-    moves = np.zeros((2 * len(nodes), 3))
+    return error_of_positions(graph.poses[nodes, :2], covariance)
+
+
+def spread_evenly(number: int, most: int) -> NDArray[np.int64]:
+    """Return at most so many of the indices from 0 to `number - 1`, evenly spread."""
+    return np.unique(np.linspace(0, number - 1, min(number, most)).round().astype(np.int64))
+
+
+def error_of_positions(positions: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the error of positions (M, 2) after an alignment, by their covariance (2 M, 2 M)."""
+    x, y = (positions - positions.mean(axis=0)).T
+    moves = np.zeros((2 * len(positions), 3))
     moves[::2, 0], moves[1::2, 1] = 1.0, 1.0
     moves[::2, 2], moves[1::2, 2] = -y, x
     rigid = moves @ np.linalg.pinv(moves)
-    return float(np.sqrt(max(np.trace(covariance - rigid @ covariance), 0.0) / len(nodes)))
+    return float(np.sqrt(max(np.trace(covariance - rigid @ covariance), 0.0) / len(positions)))
 
 
 def _problem(library: Any, graph: Graph, noise_of_first: Any) -> tuple[Any, Any]:

@@ -170,6 +170,23 @@ class EndPoints(eqx.Module):
         away = ((self.points - self.anchors) * self.normals).sum(axis=1, keepdims=True)
         return self.points - away * self.normals
 
+    def move(self, motion: Pose, is_used: Bool[Array, ""]) -> "EndPoints":
+        """Return the points in the frame from which a motion led to theirs; none unless used.
+
+        Args:
+            motion: pose (x, y, yaw) of their frame in the other one [m, m, rad].
+            is_used: whether they count.
+        """
+        turn = motion * jnp.array([0.0, 0.0, 1.0])
+        return EndPoints(
+            transform_points(motion, self.points),
+            transform_points(motion, self.anchors),
+            transform_points(turn, self.normals),
+            self.is_point & is_used,
+            self.is_flat & is_used,
+            self.tilt,
+        )
+
     def every(self, step: int) -> "EndPoints":
         """Return every so many of the points."""
         same: EndPoints = jax.tree.map(lambda rows: rows[::step], self)
