@@ -14,7 +14,7 @@ from jaxplore.control.fleet_controller import FleetController, same_for_all
 from jaxplore.control.guard import MotionGuard
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.maps.clearance import clearance_field
-from jaxplore.parts import IdlenessMap
+from jaxplore.parts import IdlenessMap, KeepOut
 from jaxplore.report.compute import Timing
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
@@ -52,7 +52,9 @@ def mixed(alone, drive, run):
     """
     robot = Unicycle(max_speed=0.8, radius=0.12)
     lidar = Lidar(num_beams=24, max_range=1.2)
-    numbers = {"num_directions": 4, "max_clearance": 0.5, "parts": [IdlenessMap(20.0)]}
+    area = [(5.2, 0.3), (5.6, 0.3), (5.6, 0.7), (5.2, 0.7)]
+    numbers = {"num_directions": 4, "max_clearance": 0.5}
+    numbers["parts"] = [IdlenessMap(20.0), KeepOut([area])]
     perception = Perception(lidar, 0.1, 0.12, **numbers)
     rates = {"control_rate": 20.0, "field_rate": 4.0}
     other = ExplorationScenario(
@@ -128,7 +130,17 @@ def test_a_cell_that_one_robot_sees_is_seen_for_all(mixed) -> None:
     least = np.minimum(idle.min(axis=0), 48 * 0.05)[reachable]
     np.testing.assert_allclose(records.mean_idleness[-1], least.mean(), rtol=1e-4)
     np.testing.assert_allclose(records.worst_idleness[-1], least.max(), rtol=1e-4)
-    assert state.task.members[0].own.belief.parts.keys() == {"watch"}
+
+
+def test_an_area_stays_closed_for_all_when_maps_are_merged(mixed) -> None:
+    fleet, state, records = mixed((0, 1, 2))
+    assert (records.sent > 0.0).sum() >= 2
+    for each in state.task.members:
+        closed = np.asarray(each.belief.parts["keep_out"])
+        assert closed.sum() >= 16
+        assert (np.asarray(each.belief.clearance.values)[closed] == 0.0).all()
+    assert not records.is_untraversable.any()
+    assert not (np.asarray(fleet.members[0].map_arrays.reachable) & closed).any()
 
 
 def test_a_target_counts_when_any_robot_has_it_in_sight(mixed) -> None:

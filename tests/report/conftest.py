@@ -425,6 +425,7 @@ def fleet_run(recording: ExplorationRecording) -> FleetRecording:
         coverages=shares,
         clearance=shares + 1.0,
         is_collision=hits,
+        is_untraversable=np.zeros((steps, 2), bool),
         is_contact=np.zeros((steps, 2), bool),
         effective_sample_size=ones,
         is_finite=np.ones(steps, bool),

@@ -17,9 +17,11 @@ from jaxplore.sensing.volume import DepthCamera, RingLidar
 
 SIDE, SHAPE, ORIGIN = 0.25, (10, 14, 18), (-1.0, 2.0, -0.5)
 CAMERA = DepthCamera(12, 9, max_range=3.0, quadratic_noise=0.0)
+TILTED = DepthCamera(10, 10, max_range=3.0, quadratic_noise=0.0, tilt=-0.6)
 RINGS = RingLidar(5, 24, max_range=3.0, range_noise=0.0)
 MODEL = InverseSensorModel()
 scan = eqx.filter_jit(lambda sensor, world, at, turn, key: sensor.scan(world, at, turn, key=key))
+sees = eqx.filter_jit(lambda sensor, world, at, turn, points: sensor.sees(world, at, turn, points))
 update = eqx.filter_jit(
     lambda sensor, grid, at, turn, found: sensor.update(grid, at, turn, found, MODEL)
 )
@@ -64,6 +66,46 @@ def test_ranges_are_those_of_a_plain_ray_caster(seed: int, sensor) -> None:
     # A ray along an edge meets one of two voxels, whichever rounding says.
     assert (off > 2e-3).mean() < 0.01
     np.testing.assert_array_equal(found.is_return, np.asarray(found.ranges) < 3.0)
+
+
+def view_margin(sensor, way: np.ndarray) -> float:
+    """Return how far a direction in the frame of the body is inside the view, as tangents."""
+    if isinstance(sensor, RingLidar):
+        low, high = sensor.elevations
+        elevation = math.atan2(way[2], math.hypot(way[0], way[1]))
+        return min(elevation - low, high - elevation)
+    cos, sin = math.cos(sensor.tilt), math.sin(sensor.tilt)
+    ahead = cos * way[0] + sin * way[2]
+    if ahead <= 0.0:
+        return -1.0
+    right, up = abs(way[1]) / ahead, abs(-sin * way[0] + cos * way[2]) / ahead
+    halves = math.tan(0.5 * sensor.field_of_view), math.tan(0.5 * sensor.vertical_view)
+    return min(halves[0] - right, halves[1] - up)
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 2**31), st.sampled_from([CAMERA, TILTED, RINGS]))
+def test_points_in_sight_are_those_that_a_plain_ray_caster_reaches(seed: int, sensor) -> None:
+    given, (at, turn) = world(seed, 0.02), pose(seed)
+    solid, place = np.asarray(given.is_occupied), at.astype(np.float64)
+    rng = np.random.default_rng(seed)
+    # Half of them are along rays of the sensor, so that some are in view.
+    ways = turn.astype(np.float64) @ sensor.directions[:, rng.integers(100, size=20)]
+    along = place + (ways * rng.uniform(0.1, 3.3, 20)).T
+    points = np.concatenate([along, place + rng.uniform(-3.0, 3.0, (20, 3))]).astype(np.float32)
+    found = np.asarray(sees(sensor, given, jnp.asarray(at), jnp.asarray(turn), points))
+    checked = 0
+    for point, is_seen in zip(points.astype(np.float64), found, strict=True):
+        away = point - place
+        distance = float(np.linalg.norm(away))
+        margin = view_margin(sensor, turn.astype(np.float64).T @ away / distance)
+        free = plain(solid, place, away / distance, 9.0) - distance
+        # At an edge of the view or of a voxel rounding decides.
+        if min(abs(margin), abs(free), abs(distance - 3.0)) < 5e-3:
+            continue
+        checked += 1
+        assert is_seen == (margin > 0.0 and free > 0.0 and distance < 3.0)
+    assert checked > 20
 
 
 def test_a_scan_makes_known_what_it_crossed() -> None:

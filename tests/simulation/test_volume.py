@@ -1,5 +1,6 @@
 """A quadrotor explores a volume in the closed loop, and what the scenario says of it."""
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -22,6 +23,7 @@ from jaxplore.costs import (
 )
 from jaxplore.dynamics.quadrotor import attitude_upwards, position_upwards
 from jaxplore.maps.generators.volumes import START
+from jaxplore.report.drawing.colours import TARGET
 from jaxplore.report.volume.recording import PALE, TRAIL
 from jaxplore.simulation.loop import run_chunk
 
@@ -53,6 +55,24 @@ def test_it_explores_a_room_without_a_contact(run) -> None:
     recording = run.recording
     wrong = (recording.belief == 1) & recording.world
     assert wrong.mean() < 0.002
+
+
+def test_targets_are_drawn_filled_until_they_are_found(run, tmp_path) -> None:
+    recording, targets = run.recording, np.array([[1.0, 1.0, 1.0], [7.0, 3.0, 1.5]])
+    frames = tuple(
+        dataclasses.replace(each, is_found=np.array([each.step > 0, False]))
+        for each in recording.frames
+    )
+    search = dataclasses.replace(recording, targets=targets, frames=frames)
+    purple = [
+        (np.asarray(search.frame_image(each)) == np.array(TARGET)).all(axis=-1).sum()
+        for each in (frames[0], frames[-1])
+    ]
+    assert purple[0] > purple[1] > 50
+    figure = search.figures()["volume"]()
+    figure.savefig(tmp_path / "volume.png")
+    (legend,) = [each.get_legend() for each in figure.axes]
+    assert [each.get_text() for each in legend.get_texts()] == ["target", "target found"]
 
 
 def test_equal_seeds_give_equal_runs_and_other_rooms_do_not_recompile(run, controller) -> None:

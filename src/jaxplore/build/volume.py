@@ -66,6 +66,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         sensors,
         _start(settings, world, robot, datum),
         perception=perception,
+        targets=[datum.to_local(each) for each in settings.search] or None,
         faults=build_faults(settings.faults, datum),
         datum=datum,
         **arguments(settings, VolumeScenario),

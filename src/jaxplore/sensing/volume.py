@@ -25,6 +25,8 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 Rotation = Float[Array, "3 3"]
 """Rotation from the body, x ahead, y to the left, z up, to the world."""
 HIT, PASSED = 2, 1
+AT_SENSOR = 1e-6
+"""Distance below which a point is where the sensor is [m]."""
 
 
 class VolumeScan(NamedTuple):
@@ -67,6 +69,52 @@ class VolumeSensor(eqx.Module):
     @abc.abstractmethod
     def elevations(self) -> tuple[float, float]:
         """Elevations of the lower and the upper edge of the view of a level body [rad]."""
+
+    @abc.abstractmethod
+    def is_in_view(self, points: Float[Array, "3 M"]) -> Bool[Array, " M"]:
+        """Return whether points in the frame of the body [m] are within the angles of the view.
+
+        Args:
+            points: (3, M) points (x ahead, y to the left, z up) [m].
+        """
+
+    def sees(
+        self,
+        world: VoxelGrid,
+        position: Float[Array, "3"],
+        rotation: Rotation,
+        points: Float[Array, "M 3"],
+    ) -> Bool[Array, " M"]:
+        """Return which points are in sight: in view, in range, and with no occupied voxel before.
+
+        Args:
+            world: the true world.
+            position: position (x, y, z) of the sensor [m].
+            rotation: rotation from the body to the world.
+            points: (M, 3) points (x, y, z) [m].
+        """
+        away = points - position
+        distance = jnp.linalg.norm(away, axis=-1)
+        is_near = distance <= self.max_range
+        # A point at the sensor itself is seen, whatever its direction.
+        ways = away / jnp.maximum(distance, AT_SENSOR)[:, None]
+        is_shown = self.is_in_view(rotation.T @ away.T) | (distance < AT_SENSOR)
+        start = jnp.broadcast_to(world.to_grid(position)[:, None], (3, points.shape[0]))
+        length = jnp.where(is_near, distance, 0.0) / world.resolution
+        log_odds = world.log_odds.reshape(-1)
+
+        def visit(
+            is_clear: Bool[Array, " M"], step: VoxelStep
+        ) -> tuple[Bool[Array, " M"], Bool[Array, " M"]]:
+            is_here = world.contains(step.voxel) & step.is_crossed & (step.entry < length)
+            index = flat_index(step.voxel, world.shape)
+            found = log_odds.at[index].get(mode="fill", fill_value=0.0)
+            is_clear = is_clear & ~(is_here & (found > OCCUPIED_ABOVE))
+            return is_clear, is_clear
+
+        is_clear = walk(start, jnp.flip(ways.T, axis=0), length, visit, is_near)
+        seen: Bool[Array, " M"] = is_near & is_shown & is_clear
+        return seen
 
     def noise_std(self, ranges: Float[Array, " R"]) -> Float[Array, " R"]:
         """Return the standard deviation of ranges [m]."""
@@ -262,6 +310,14 @@ class DepthCamera(VolumeSensor):
         half, quarter = 0.5 * self.vertical_view, 0.5 * math.pi
         return max(self.tilt - half, -quarter + 1e-3), min(self.tilt + half, quarter)
 
+    def is_in_view(self, points: Float[Array, "3 M"]) -> Bool[Array, " M"]:
+        """Return whether points in the frame of the body [m] are in the image."""
+        x, left, z = points
+        cos, sin = math.cos(self.tilt), math.sin(self.tilt)
+        ahead, up = cos * x + sin * z, cos * z - sin * x
+        across = jnp.abs(left) <= ahead * math.tan(0.5 * self.field_of_view)
+        return across & (jnp.abs(up) <= ahead * math.tan(0.5 * self.vertical_view))
+
     @property
     def directions(self) -> np.ndarray:
         """Unit vectors (3, R) of the pixels, row by row from the top, each from left to right."""
@@ -330,6 +386,14 @@ class RingLidar(VolumeSensor):
         quarter = 0.5 * math.pi
         half = max(half, 0.01)
         return max(self.lowest - half, -quarter + 1e-3), min(self.highest + half, quarter)
+
+    def is_in_view(self, points: Float[Array, "3 M"]) -> Bool[Array, " M"]:
+        """Return whether points in the frame of the body [m] are between the outermost rays."""
+        x, y, z = points
+        elevation = jnp.arctan2(z, jnp.hypot(x, y))
+        low, high = self.elevations
+        is_level = (elevation >= low) & (elevation <= high)
+        return is_level & (jnp.abs(jnp.arctan2(y, x)) <= 0.5 * self.field_of_view + 1e-6)
 
     @property
     def directions(self) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from jaxplore._limits import LONGEST, MOST_BEAMS
+from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.files.volume_file import SUFFIXES, read_volume
@@ -203,6 +203,8 @@ class VolumeSettings(RunSettings):
         architecture: `explorer`, `two-layer`, `parallel`, or a rule-based explorer by the name of
             its rule, such as `nearest-cluster`. Or MODULE:NAME of your own, a rule
             (`jaxplore.planning.TargetRule`) or a function from a scenario to a controller.
+        search: targets to find, a list of places (x, y, z) with z up [m]; the run then ends when
+            all have been seen.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.
@@ -220,6 +222,7 @@ class VolumeSettings(RunSettings):
     start: tuple[Real, Real, Real, Real] | None = None  # type: ignore[assignment]
     architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
     resolution: Spacing = setting(generate_volume, "resolution")
+    search: Annotated[tuple[tuple[Real, Real, Real], ...], Field(max_length=MOST_NAMES)] = ()
     time_limit: Duration = 300.0
     target_coverage: Share = setting(VolumeScenario, "target_coverage")
     give_up_after: Duration | None = setting(VolumeScenario, "give_up_after")

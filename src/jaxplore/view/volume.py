@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxplore.report.drawing.colours import FREE, TARGET, blend
 from jaxplore.report.drawing.palette import PLAN, ROBOT, TRAIL, Colour
 from jaxplore.report.volume.data import VolumeData, VolumeFrame
 from jaxplore.report.volume.space import height_colours, surface
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 class VolumeScene(Scene):
     """The voxels that the robot has found to be occupied, its trail and its plan, in space."""
 
-    layers = ("voxels", "plan", "trail")
+    layers = ("voxels", "plan", "trail", "targets")
 
     def __init__(self, server: "viser.ViserServer", recording: VolumeData) -> None:
         super().__init__(server)
@@ -36,6 +37,7 @@ class VolumeScene(Scene):
             self._draw_voxels(frame)
         self._line("trail", trail, TRAIL, 2.0)
         self._line("plan", frame.plan, PLAN, 4.0)
+        self._draw_targets(frame)
         self._draw_robot(frame)
 
     def clear(self) -> None:
@@ -60,6 +62,25 @@ class VolumeScene(Scene):
                 precision="float32",
                 visible=self._is_shown("voxels"),
             )
+
+    def _draw_targets(self, frame: VolumeFrame) -> None:
+        """Draw the targets, pale once they were seen."""
+        if "targets" in self._nodes:
+            self._nodes.pop("targets").remove()
+        places = np.asarray(self._recording.targets, np.float32)
+        if not len(places):
+            return
+        pale = np.array(blend(TARGET, FREE, 0.35), np.uint8)
+        shades = np.where(np.asarray(frame.is_found)[:, None], pale, np.array(TARGET, np.uint8))
+        self._nodes["targets"] = self._server.scene.add_point_cloud(
+            "/targets",
+            places,
+            shades.astype(np.uint8),
+            point_size=2.0 * self._recording.robot_radius,
+            point_shape="circle",
+            precision="float32",
+            visible=self._is_shown("targets"),
+        )
 
     def _draw_robot(self, frame: VolumeFrame) -> None:
         names = self._recording.state_names

@@ -12,6 +12,7 @@ from jaxplore.report.exploration.anomalies import anomaly_metrics, report_texts
 from jaxplore.report.exploration.mission import MissionData
 from jaxplore.report.exploration.objects import object_metrics, object_rows
 from jaxplore.report.metrics import Column, Curve, Metrics
+from jaxplore.report.targets import last_target_at, target_rows
 
 MISSION_CURVES = (
     Curve(
@@ -100,13 +101,10 @@ class MissionMetrics(Metrics):
 
     def mission_rows(self) -> list[tuple[str, str]]:
         """Return the metrics as (name, text), for tables; none without something to look for."""
-        rows = []
-        if self.num_targets:
-            done = "seen" if self.labels is None else "recognised"
-            seen, last = f"{self.targets_seen} of {self.num_targets} {done}", self.last_target_at
-            rows.append(("targets", seen if last is None else f"{seen}, the last at {last:.2f} s"))
+        done = "seen" if self.labels is None else "recognised"
+        rows = target_rows(self.num_targets, self.targets_seen, self.last_target_at, done)
         # A search is judged by its targets; the idleness only leads it to places not seen lately.
-        elif self.mean_idleness is not None:
+        if not self.num_targets and self.mean_idleness is not None:
             both = f"{self.mean_idleness:.1f} s, {text(self.worst_idleness, 1)} s at worst"
             rows.append(("idleness", f"{both}, in the second half"))
         counts = (self.num_objects, self.objects_detected, self.false_reports, self.mislabelled)
@@ -143,19 +141,6 @@ def mission_curves(data: MissionData) -> dict[str, np.ndarray]:
     if data.idleness is not None:
         curves["idleness"] = at_instants(data.records.mean_idleness, 0.0)
     return curves
-
-
-def last_target_at(recording: MissionData) -> float | None:
-    """Return the time at which the last target was seen [s]; None if some were not, or without any.
-
-    The record of step k holds what was seen at its beginning, so the time is k control periods.
-    """
-    if len(recording.targets) == 0:
-        return None
-    is_all = np.asarray(recording.records.targets_seen) >= len(recording.targets)
-    if not is_all.any():
-        return None
-    return int(is_all.argmax()) * recording.control_period
 
 
 def find_judged_start(recording: MissionData) -> int:

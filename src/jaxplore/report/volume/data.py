@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxplore._types import ControlVector, Flag, Scalar, StateVector
+from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.maps.datum import move_points
 from jaxplore.report._numbers import finite, numbers, percent
 from jaxplore.report.coverage_levels import (
@@ -19,6 +19,7 @@ from jaxplore.report.coverage_levels import (
 from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import episodes
 from jaxplore.report.recording import Frame, LiveCurves, RunData, move_records, move_states
+from jaxplore.report.targets import last_target_at, target_rows
 
 
 class VolumeRecord(NamedTuple):
@@ -33,6 +34,7 @@ class VolumeRecord(NamedTuple):
         is_collision: whether the step would have led to a collision; the robot stopped instead.
         effective_sample_size: effective sample size of the controller's rollouts.
         is_finite: whether any rollout had a finite cost.
+        targets_seen: number of targets that were seen so far; None without targets.
     """
 
     state: StateVector
@@ -42,6 +44,7 @@ class VolumeRecord(NamedTuple):
     is_collision: Flag
     effective_sample_size: Scalar
     is_finite: Flag
+    targets_seen: Count | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -55,6 +58,7 @@ class VolumeFrame(Frame):
         upright: (D, W) vertical slice of the map along x, through the robot.
         voxels: (ceil(D H W / 8),) bits of the voxels that the robot knows to be occupied.
         plan: (T + 1, 3) positions of the nominal trajectory, with z up [m].
+        is_found: (M,) which targets were seen so far.
     """
 
     state: np.ndarray
@@ -62,6 +66,7 @@ class VolumeFrame(Frame):
     upright: np.ndarray
     voxels: np.ndarray
     plan: np.ndarray
+    is_found: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
 
     places = ("plan",)
 
@@ -91,6 +96,7 @@ class VolumeData(RunData):
         target_coverage: coverage at which the exploration is finished.
         robot_radius: radius of the robot [m].
         given_up_step: number of steps until it was given up; None if it was not.
+        targets: (M, 3) positions (x, y, z) of the targets [m].
     """
 
     records: VolumeRecord
@@ -106,6 +112,7 @@ class VolumeData(RunData):
     target_coverage: float
     robot_radius: float
     given_up_step: int | None = None
+    targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
@@ -113,12 +120,18 @@ class VolumeData(RunData):
             "records": move_records(self.records, offset, self.state_names),
             "start": move_states(self.start, offset, self.state_names),
             "origin": move_points(self.origin, offset),
+            "targets": move_points(self.targets, offset),
         }
 
     @property
     def live_curves(self) -> LiveCurves:
-        """The coverage."""
-        return LiveCurves("coverage", ("coverage",), np.asarray(self.records.coverage)[None])
+        """The coverage, and the share of the targets that were found."""
+        rows = np.asarray(self.records.coverage)[None]
+        if not len(self.targets):
+            return LiveCurves("coverage", ("coverage",), rows)
+        shares = np.asarray(self.records.targets_seen)[None] / len(self.targets)
+        names = ("coverage", "targets found")
+        return LiveCurves("coverage and targets found", names, np.concatenate([rows, shares]))
 
     @property
     def coverage(self) -> np.ndarray:
@@ -148,7 +161,10 @@ class VolumeMetrics(Metrics):
         minimum_clearance: least distance from the robot's edge to a solid voxel [m].
         mean_speed: mean speed [m/s].
         mean_effective_sample_size: mean effective sample size.
-        curve: time, coverage and path, for plots.
+        num_targets: number of targets.
+        targets_seen: number of targets that were seen.
+        last_target_at: time at which the last target was seen [s]; None if some were not.
+        curve: time, coverage and path, and with targets how many were found, for plots.
     """
 
     coverage: float
@@ -160,11 +176,17 @@ class VolumeMetrics(Metrics):
     minimum_clearance: float | None
     mean_speed: float
     mean_effective_sample_size: float | None
+    num_targets: int
+    targets_seen: int
+    last_target_at: float | None
     curve: dict[str, list[float | None]]
     columns = (
         Column.num_finished(),
         Column.quartiles("to_90", "90 % [s]", number=lambda each: each.time_to["90"]),
         Column.quartiles("to_95", "95 % [s]", number=lambda each: each.time_to["95"]),
+        Column.quartiles(
+            "last_target_at", "last target [s]", applies=lambda spread: spread[0] < math.inf
+        ),
         Column.quartiles("path_length", "path [m]"),
         Column.total("collisions", "collisions"),
         Column.least("minimum_clearance", "clearance [m]"),
@@ -183,6 +205,7 @@ class VolumeMetrics(Metrics):
         return [
             self.duration_row(),
             ("coverage", f"{percent(self.coverage)} of {self.volume:.1f} m³, {levels}"),
+            *target_rows(self.num_targets, self.targets_seen, self.last_target_at),
             ("path", f"{self.path_length:.1f} m, {self.mean_speed:.2f} m/s in the mean"),
             ("collisions", str(self.collisions)),
             *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
@@ -197,11 +220,16 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
     coverage, given_up = data.coverage, data.given_up_step
     steps = np.linalg.norm(np.diff(data.positions, axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])
-    done = find_first(coverage, data.target_coverage)
+    seen = data.records.targets_seen
+    if len(data.targets) and seen is not None:
+        done = find_first(np.asarray(seen, float), float(len(data.targets)))
+        curve_of_targets = {"targets": at_instants(seen, 0.0)}
+    else:
+        done, curve_of_targets = find_first(coverage, data.target_coverage), {}
     # A run ends with the step in which its target is reached, or takes none.
     finished_at = None if done is None else min(done + 1, data.num_steps) * period
     sizes = np.asarray(records.effective_sample_size, np.float64)
-    curve = {"time": data.time, "coverage": coverage, "path": path}
+    curve = {"time": data.time, "coverage": coverage, "path": path, **curve_of_targets}
     return VolumeMetrics(
         **data.common_metrics(finished_at=finished_at, seed=seed),
         coverage=float(coverage[-1]),
@@ -213,5 +241,8 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         mean_speed=float(path[-1] / max(period, data.num_steps * period)),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
+        num_targets=len(data.targets),
+        targets_seen=0 if seen is None or not len(seen) else int(seen[-1]),
+        last_target_at=last_target_at(data),
         curve=thin_series(curve, period),
     )

@@ -76,6 +76,11 @@ class VolumeRecording(VolumeData, Recording):
         if len(plan) > 1:
             ahead = [(x, level.height - y) for x, y in plan.tolist()]
             draw.line(ahead, fill=PLAN, width=width)
+        places = (self.targets - self.origin) / self.resolution * pixels
+        for place, is_found in zip(places.tolist(), frame.is_found, strict=True):
+            for x, y in ((place[0], level.height - place[1]), (place[0], size[1] - place[2])):
+                box = (x - radius, y - radius, x + radius, y + radius)
+                draw.ellipse(box, None if is_found else colours.TARGET, colours.TARGET, width)
         for x, y in (trail[-1], side[-1]):
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=PLAN, width=2)
         return picture
@@ -97,7 +102,7 @@ class VolumeRecording(VolumeData, Recording):
 
         Each field of `VolumeRecord` under its name, one row per step; `time` (N + 1,) [s],
         `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `observable` (D, H, W),
-        `origin`, `resolution`, `control_period`, `start` and `state_names`.
+        `origin`, `resolution`, `control_period`, `start`, `state_names` and `targets` (M, 3) [m].
         """
         return {
             **super().arrays(),
@@ -108,6 +113,7 @@ class VolumeRecording(VolumeData, Recording):
             "origin": self.origin,
             "resolution": np.asarray(self.resolution),
             "start": self.start,
+            "targets": self.targets,
             "state_names": np.asarray(self.state_names, np.str_),
         }
 
@@ -141,6 +147,15 @@ def volume_figure(data: VolumeData) -> "Figure":
     path = data.positions
     axes.plot(*path.T, color=PLAN, linewidth=1.5)
     axes.scatter(*path[0], color=PLAN, marker="o", s=20)
+    is_found = np.asarray(data.frames[-1].is_found, bool)
+    for some, marker, label in ((~is_found, "*", "target"), (is_found, "o", "target found")):
+        if some.any():
+            places = data.targets[some].T
+            axes.scatter(
+                *places, color=colours.shade(colours.TARGET), marker=marker, s=60, label=label
+            )
+    if len(is_found):
+        axes.legend(loc="upper left", frameon=False)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.set_zlabel("z [m]")

@@ -142,7 +142,7 @@ class TeamSenses(NamedTuple):
             return _guidance(after)
 
         # Guidance reads the clearance and the total information, and the loop need not copy more.
-        absent: dict[str, Any] = {"grid": None, "obstacles": None}
+        absent: dict[str, Any] = {"grid": None, "obstacles": None, "parts": {}}
         small = [
             dataclasses.replace(each, information=each.information.without_directions(), **absent)
             for each in beliefs

@@ -18,6 +18,7 @@ from jaxplore._types import (
     Count,
     Flag,
     Key,
+    Rows,
     Scalar,
     StateVector,
     Vector,
@@ -51,12 +52,14 @@ class VolumeState(NamedTuple):
     """State of the exploration of a volume.
 
     `num_known` observable voxels are known to be free, and `gain` is the last rise of their share.
+    `is_seen` (M,) says which targets have been seen.
     """
 
     robot: StateVector
     belief: VolumeBelief
     num_known: Count
     gain: Gain
+    is_seen: Bool[Array, " M"]
 
 
 class VolumeScenario(Scenario):
@@ -67,7 +70,8 @@ class VolumeScenario(Scenario):
     a level sensor sees from some place where the robot fits and that is connected with the start;
     coverage is the share of them that the robot's map knows to be free. The exploration is finished
     at the target coverage, and given up when the coverage has not risen by 0.1 % for
-    `give_up_after`: what is left cannot be seen from where the robot fits.
+    `give_up_after`: what is left cannot be seen from where the robot fits. With targets it is
+    finished when a sensor has seen all of them, and not given up.
 
     Args:
         world: the true volume, hidden from the robot.
@@ -82,6 +86,7 @@ class VolumeScenario(Scenario):
         give_up_after: time without a rise of the coverage after which the exploration is given up
             [s]; when absent a minute and the time of a flight along the diagonal of the volume and
             back at 1 m/s.
+        targets: (M, 3) positions (x, y, z) of targets to find, with z up [m]; none when absent.
         faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
             is not carried away.
         datum: point of a file's coordinates to which all positions here are relative; frames and
@@ -90,7 +95,8 @@ class VolumeScenario(Scenario):
     Raises:
         ValueError: a part of another class, a start that is off the volume or so close to a solid
             voxel that the robot touches it, a rate that is no whole fraction, a coverage outside
-            (0, 1], a window of the perception that is too small.
+            (0, 1], a window of the perception that is too small, a target that is not in an
+            observable voxel.
     """
 
     frame_type = VolumeFrame
@@ -108,6 +114,7 @@ class VolumeScenario(Scenario):
     give_up_after: Scalar
     observable: Bool[Array, "D H W"]
     num_observable: Scalar
+    targets: Float[Array, "M 3"]
     faults: Faults | None
     reach: int = eqx.field(static=True)
 
@@ -124,6 +131,7 @@ class VolumeScenario(Scenario):
         field_rate: float = 5.0,
         target_coverage: ArrayLike = 0.95,
         give_up_after: ArrayLike | None = None,
+        targets: Rows | None = None,
         faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
@@ -157,6 +165,7 @@ class VolumeScenario(Scenario):
         seen = observable(solid, places, views)
         self.observable = on_device(seen)
         self.num_observable = on_device(np.asarray(np.count_nonzero(seen), np.float32))
+        self.targets = _check_targets(targets, world, seen, datum)
         self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
         if perception is None:
             perception = VolumePerception(given, world.resolution, robot.radius)
@@ -192,7 +201,8 @@ class VolumeScenario(Scenario):
         belief = self.perception.init(blank, position_upwards(self.start))
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
-        return VolumeState(self.start, belief, known, gain), belief
+        is_seen = jnp.zeros(self.targets.shape[0], bool)
+        return VolumeState(self.start, belief, known, gain, is_seen), belief
 
     def perceive(
         self, state: VolumeState, moment: Moment, key: Key
@@ -236,7 +246,15 @@ class VolumeScenario(Scenario):
             moment.step % self.steps_per_field == 0, with_fields, lambda same: same, belief
         )
         belief = eqx.combine(belief, stored)
-        state = state._replace(belief=belief, num_known=known)
+        is_seen = state.is_seen
+        if is_seen.size:
+            is_seen = jax.lax.cond(
+                is_due,
+                lambda seen: seen | self.find_targets(truly, truly_turned, moment.step),
+                lambda same: same,
+                is_seen,
+            )
+        state = state._replace(belief=belief, num_known=known, is_seen=is_seen)
         gain = state.gain.update(self.coverage(state), self.control_period)
         return state._replace(gain=gain), belief
 
@@ -262,15 +280,34 @@ class VolumeScenario(Scenario):
             is_collision=is_collision,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
+            targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None,
         )
         return state._replace(robot=after), record
 
+    def find_targets(
+        self, position: Float[Array, "3"], rotation: Float[Array, "3 3"], step: Count
+    ) -> Bool[Array, " M"]:
+        """Return which targets the sensors see.
+
+        Args:
+            position: true position (x, y, z) of the robot, with z up [m].
+            rotation: rotation from its body to the world.
+            step: number of steps since the start, for walls that appear.
+        """
+        world = self.world_at(step)
+        views = [each.sees(world, position, rotation, self.targets) for each in self.sensors]
+        return jnp.stack(views).any(axis=0)
+
     def is_unfinished(self, state: VolumeState) -> Flag:
         """Check whether the exploration is neither finished nor given up."""
+        if state.is_seen.size:
+            return ~state.is_seen.all()
         return (self.coverage(state) < self.target_coverage) & ~self.is_given_up(state)
 
     def is_given_up(self, state: VolumeState) -> Flag:
         """Check whether the coverage has not risen for `give_up_after`, below its target."""
+        if state.is_seen.size:
+            return jnp.array(False)
         is_below = self.coverage(state) < self.target_coverage
         return is_below & (state.gain.since >= self.give_up_after)
 
@@ -330,6 +367,7 @@ class VolumeScenario(Scenario):
             "upright": voxel_states(grid.log_odds[:, row]),
             "voxels": jnp.packbits(grid.is_occupied.reshape(-1)),
             "plan": plan,
+            "is_found": state.is_seen,
         }
 
     def recording(
@@ -351,6 +389,7 @@ class VolumeScenario(Scenario):
             initial_coverage=float(self.coverage(before)),
             target_coverage=float(self.target_coverage),
             robot_radius=float(self.robot.radius),
+            targets=np.asarray(self.targets),
             given_up_step=run.num_steps if bool(self.is_given_up(run.state.task)) else None,
         )
         return local.move(self.datum.offset)
@@ -366,6 +405,29 @@ def voxel_states(log_odds: Float[Array, "*N"]) -> UInt8[Array, "*N"]:
     solid = jnp.where(log_odds > OCCUPIED_ABOVE, OCCUPIED, UNKNOWN)
     kinds = jnp.where(log_odds < FREE_BELOW, FREE, solid)
     return kinds.astype(jnp.uint8)
+
+
+def _check_targets(
+    targets: Rows | None, world: VoxelGrid, seen: np.ndarray, datum: Datum
+) -> Float[Array, "M 3"]:
+    """Return targets (M, 3) [m], each in a voxel that a level sensor can see.
+
+    Raises:
+        ValueError: another shape, or a target elsewhere.
+    """
+    if targets is None:
+        return on_device(np.zeros((0, 3), np.float32))
+    places = _checks.array("targets", targets, ("M", 3), may_be_empty=True)
+    for index, place in enumerate(np.asarray(places, np.float64)):
+        voxel = np.floor((place - np.asarray(world.origin))[::-1] / world.resolution).astype(int)
+        is_in = ((voxel >= 0) & (voxel < seen.shape)).all()
+        if not is_in or not seen[tuple(voxel)]:
+            shown = ", ".join(f"{round(float(each), 3):.10g}" for each in datum.round_to_map(place))
+            raise ValueError(
+                f"targets[{index}] is ({shown}); accepted: a free voxel that a sensor sees from "
+                "where the robot can get"
+            )
+    return places
 
 
 def _start_voxel(
