@@ -114,6 +114,7 @@ MODELS = {
 SLOW = MotionGuard(occlusion=OcclusionCost())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_a_command_is_slower_where_somebody_can_be_hidden(name: str) -> None:
     """The command is the one between it and braking that brakes least, of a thousand tried."""
@@ -155,6 +156,7 @@ def test_a_command_stays_where_nobody_is_expected_or_it_is_not_finite() -> None:
     np.testing.assert_array_equal(SLOW.slow_down(ROBOT, rest, go, edges, PERIOD), go)
 
 
+@pytest.mark.long
 def test_the_edges_of_the_belief_slow_the_command_of_a_controller() -> None:
     start = jnp.asarray([0.0, 0.0, 0.0, 0.9, 0.0])
     edges = Edges(jnp.full((8, 2), 0.7), jnp.arange(8) == 0)

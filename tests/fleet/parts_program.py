@@ -40,7 +40,9 @@ def two_robots():
     world[8:22, 20] = 1.0
     robot = jx.DifferentialDrive(max_speed=1.0, radius=0.15)
     lidar = jx.Lidar(num_beams=36, max_range=1.5, range_noise=0.01)
-    perception = jx.Perception(lidar, 0.1, 0.15, num_directions=4, max_clearance=0.5)
+    watch = [jx.parts.IdlenessMap(20.0)]
+    numbers = {"num_directions": 4, "max_clearance": 0.5, "parts": watch}
+    perception = jx.Perception(lidar, 0.1, 0.15, **numbers)
     alone = jx.ExplorationScenario(
         jx.OccupancyGrid(world, 0.1),
         robot,
@@ -131,7 +133,11 @@ if __name__ == "__main__":
             ).max()
         )
         for name in one.records._fields
+        # Robots without a chassis have no wheels to tell of.
+        if getattr(one.records, name) is not None or getattr(parts.records, name) is not None
     }
+    gaps["idleness"] = float(np.abs(np.nan_to_num(one.idleness - parts.idleness)).max())
+    gaps["never seen"] = float((np.isinf(one.idleness) != np.isinf(parts.idleness)).any())
     gaps["beliefs"] = float(np.abs(one.beliefs.astype(int) - parts.beliefs.astype(int)).max())
     gaps["frames"] = float(
         np.abs(one.frames[-1].probability.astype(int) - parts.frames[-1].probability).max()

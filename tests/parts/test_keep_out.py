@@ -79,6 +79,7 @@ def perceptions() -> tuple[Perception, Perception]:
     )
 
 
+@pytest.mark.long
 def test_paths_keep_from_closed_cells_as_from_walls(perceptions) -> None:
     pose = jnp.asarray(START)
     limited, free = (eqx.filter_jit(each.init)(hall(), pose) for each in perceptions)
