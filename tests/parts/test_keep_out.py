@@ -54,6 +54,7 @@ def test_every_cell_that_an_area_touches_is_closed_and_none_far_from_it(corners,
     assert (away <= SIDE * math.sqrt(0.5) + 0.15).all()
 
 
+@pytest.mark.long
 def test_a_mask_closes_the_cells_that_it_occupies() -> None:
     marks = np.full((8, 10), 0.01, np.float32)
     marks[2:4, 5:9] = 1.0

@@ -35,6 +35,7 @@ def test_a_target_is_found_where_the_camera_sees_it(search) -> None:
     assert looked(search, 4.5, 1.0, 0.0) == [False, True]
 
 
+@pytest.mark.long
 def test_it_ends_when_all_are_found_and_not_by_coverage(search) -> None:
     begin = eqx.filter_jit(lambda scenario: scenario.init(None)[0])(search)
     known = {"num_known": jnp.int32(10**6), "gain": Gain(jnp.zeros(()), jnp.float32(1e6))}
