@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.localisation.motions import add_motions
 
 from jaxplore.localisation import (
     Localiser,
@@ -98,15 +99,6 @@ def motions_of(poses: np.ndarray, seed: int) -> np.ndarray:
     return drifted
 
 
-def added(poses: np.ndarray, motions: np.ndarray) -> np.ndarray:
-    reached = [poses[0]]
-    for dx, dy, turn in motions[1:]:
-        x, y, yaw = reached[-1]
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        reached.append(np.array([x + cos * dx - sin * dy, y + sin * dx + cos * dy, yaw + turn]))
-    return np.array(reached)
-
-
 @eqx.filter_jit
 def step(
     localiser: Localiser, state: LocaliserState, motion: jax.Array, scan: Scan
@@ -146,7 +138,7 @@ def around(driven: Any) -> tuple[LocaliserState, np.ndarray, np.ndarray]:
     poses = track(1.25)
     motions = motions_of(poses, 0)
     state, _ = driven([(WALLS, poses)], motions, None)
-    return state, poses, added(poses, motions)
+    return state, poses, add_motions(poses[0], motions)
 
 
 def stored(state: LocaliserState) -> np.ndarray:

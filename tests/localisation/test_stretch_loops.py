@@ -6,10 +6,11 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.localisation.motions import add_motions
 
 from jaxplore.localisation import Localiser, LocaliserState, LoopCloser, Odometry
 from jaxplore.localisation.pose_graph import Graph
-from jaxplore.localisation.stretch_loops import _agree, _confirmed, _Stretch
+from jaxplore.localisation.stretch_loops import _agree, _select_confirmed, _Stretch
 from jaxplore.maps.frame import GridFrame
 from jaxplore.sensing import Lidar, Scan
 
@@ -64,15 +65,6 @@ def motions_of(poses: np.ndarray) -> np.ndarray:
     return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, turn], axis=1)
 
 
-def added(motions: np.ndarray) -> np.ndarray:
-    poses = [TRUE[0]]
-    for dx, dy, turn in motions[1:]:
-        x, y, yaw = poses[-1]
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        poses.append(np.array([x + cos * dx - sin * dy, y + sin * dx + cos * dy, yaw + turn]))
-    return np.array(poses)
-
-
 def state_of(scans: list[Scan]) -> LocaliserState:
     """Return a state whose stored scans have poses that drift by metres in a lap."""
     number = len(TRUE)
@@ -80,7 +72,7 @@ def state_of(scans: list[Scan]) -> LocaliserState:
     # The first lap is right. Then the wheels slip, over metres.
     late = (np.arange(number) > 76)[:, None] & (np.arange(number) < 84)[:, None]
     motions = motions + late * np.array([-0.3, 0.1, 0.02])
-    poses = added(motions)
+    poses = add_motions(TRUE[0], motions)
     covariance = np.diag([0.15, 0.15, 0.02]) ** 2
     frame = GridFrame(0.1, (-5.0, -6.0, 0.0))
     state = LOCALISER.init(jnp.asarray(TRUE[0], jnp.float32), frame, (200, 240), (SENSOR,))
@@ -141,8 +133,8 @@ def test_a_stretch_counts_only_if_another_one_agrees() -> None:
     assert _agree(graph, *right)
     assert not _agree(graph, right[1], wrong)
     way = poses[:, 0]
-    assert _confirmed(graph, way, [*right, wrong]) == right
-    assert _confirmed(graph, way, [right[0], wrong]) == []
-    assert _confirmed(graph, way, right[:1]) == []
+    assert _select_confirmed(graph, way, [*right, wrong]) == right
+    assert _select_confirmed(graph, way, [right[0], wrong]) == []
+    assert _select_confirmed(graph, way, right[:1]) == []
     # One that agrees is too far along the way to say anything.
-    assert _confirmed(graph, way, [right[0], stretch(40, 4.0, 1.0, 0.0)]) == []
+    assert _select_confirmed(graph, way, [right[0], stretch(40, 4.0, 1.0, 0.0)]) == []

@@ -19,7 +19,7 @@ def search() -> VolumeScenario:
     return volume(targets=TARGETS)
 
 
-def looked(search, x: float, y: float, yaw: float) -> list[bool]:
+def look(search, x: float, y: float, yaw: float) -> list[bool]:
     """Return which targets are seen from a place at the height of the start."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     turn = jnp.asarray([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], jnp.float32)
@@ -28,11 +28,11 @@ def looked(search, x: float, y: float, yaw: float) -> list[bool]:
 
 
 def test_a_target_is_found_where_the_camera_sees_it(search) -> None:
-    assert looked(search, 1.2, 2.0, 0.0) == [True, False]
+    assert look(search, 1.2, 2.0, 0.0) == [True, False]
     # Facing away from it, then from behind it and before the wall.
-    assert looked(search, 1.2, 2.0, np.pi) == [False, False]
-    assert looked(search, 2.7, 1.0, 0.0) == [False, False]
-    assert looked(search, 4.5, 1.0, 0.0) == [False, True]
+    assert look(search, 1.2, 2.0, np.pi) == [False, False]
+    assert look(search, 2.7, 1.0, 0.0) == [False, False]
+    assert look(search, 4.5, 1.0, 0.0) == [False, True]
 
 
 @pytest.mark.long

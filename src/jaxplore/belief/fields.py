@@ -80,7 +80,7 @@ class BeliefFields(eqx.Module):
         """
         _kinds.instance("belief", belief, Belief)
         # What parts add is in the last field, and an update would keep it.
-        is_added = any(part.adds_information for part, _ in self._known(belief.parts))
+        is_added = any(part.adds_information for part, _ in self._list_active(belief.parts))
         before = None if is_added else belief.information
         information = self._information(belief, before)
         dwell = belief.dwell
@@ -138,20 +138,28 @@ class BeliefFields(eqx.Module):
             to_goal=self._to_goal(belief.grid, belief.parts, pose),
         )
 
+    def find_forbidden(self, belief: Belief) -> GridMask | None:
+        """Return the cells (H, W) that parts of the robot forbid to enter; None if none does.
+
+        Args:
+            belief: the belief.
+        """
+        return self._closed_by_parts(belief.parts)
+
     def _closed_by_parts(self, states: Mapping[str, Any]) -> GridMask | None:
         """Return the cells (H, W) that parts forbid to enter; None if none does."""
-        given = [part.closed_cells(own) for part, own in self._known(states)]
+        given = [part.closed_cells(own) for part, own in self._list_active(states)]
         masks = [each for each in given if each is not None]
         return functools.reduce(operator.or_, masks) if masks else None
 
-    def _known(self, states: Mapping[str, Any]) -> list[tuple[Part, Any]]:
+    def _list_active(self, states: Mapping[str, Any]) -> list[tuple[Part, Any]]:
         """Return the parts that have a state, each with its own."""
         return [(part, states[part.name]) for part in self.parts if part.name in states]
 
     def _information(self, belief: Belief, before: InformationField | None) -> InformationField:
         """Return the information field, updated from the last one if that suffices."""
         field = self._cell_information(belief.grid, belief.parts, before)
-        for part, own in self._known(belief.parts):
+        for part, own in self._list_active(belief.parts):
             field = part.add_information(own, field, belief.grid, self.sensors[0])
         return field
 
@@ -164,7 +172,7 @@ class BeliefFields(eqx.Module):
             # What is unknown where the robot must not be counts as free, so it sees through it.
             is_ignored = closed & ~(grid.is_free | grid.is_occupied)
             grid = grid.with_probability(jnp.where(is_ignored, IGNORED, grid.probability))
-        given = [part.interest(own) for part, own in self._known(states)]
+        given = [part.interest(own) for part, own in self._list_active(states)]
         interests = [each for each in given if each is not None]
         if interests:
             # The interest of every cell changes with time, so the whole field is recomputed.

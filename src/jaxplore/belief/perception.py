@@ -348,7 +348,9 @@ class Perception(BeliefFields):
             if index == 0:
                 given = (sensor, grid, scan, sighting.is_seen, pose, passed, now)
                 seen = Observation(*given, belief.obstacles)
-                known = {part.name: part.observe(own, seen) for part, own in self._known(states)}
+                known = {
+                    part.name: part.observe(own, seen) for part, own in self._list_active(states)
+                }
                 states = {**states, **known}
         clearance = update_clearance(
             belief.clearance,

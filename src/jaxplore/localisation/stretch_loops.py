@@ -165,12 +165,12 @@ def find_stretch_loops(
     known = set(np.asarray(graph.pairs)[:, 1].tolist())
     return [
         _match_stretch(localiser, state, sensors, graph, matcher, each)
-        for each in _confirmed(graph, way, found)
+        for each in _select_confirmed(graph, way, found)
         if each.middle not in known
     ]
 
 
-def _confirmed(graph: Graph, way: np.ndarray, found: Sequence[_Stretch]) -> list[_Stretch]:
+def _select_confirmed(graph: Graph, way: np.ndarray, found: Sequence[_Stretch]) -> list[_Stretch]:
     """Return the stretches with which another one agrees, most of all that are near.
 
     Of those that end within `NEIGHBOURS` of it, at least as many must agree with it as do not.

@@ -176,7 +176,7 @@ class DriveLog:
 
     def _find_traversable(self, belief: Belief) -> np.ndarray | None:
         """Return the cells (H, W) that the robot may enter; None if it may enter all."""
-        closed = self._scenario.perception.closed_cells(belief.grid)
+        closed = self._scenario.perception.find_forbidden(belief)
         return None if closed is None else belief.grid.crop(~closed)
 
     def newest(self, first: int) -> tuple[ExplorationRecord, np.ndarray]:

@@ -90,9 +90,8 @@ class Driver(NamedTuple):
         """Return the command that is planned from the state (nx,) in which it takes effect.
 
         The guard, which there must be, has slowed it down where somebody can be hidden, and checked
-        it against the newest scan. `age` is the time
-        from the scan to the effect of the command [s]. The state of the controller after it and
-        what it says follow.
+        it against the newest scan. `age` is the time from the scan to the effect of the command
+        [s]. The state of the controller after it and what it says follow.
         """
         assert self.guard is not None
         control, memory, info = self.controller.step(memory, start, belief, key=key)

@@ -1,5 +1,6 @@
 """Data of a run on a map, by a robot or a fleet, and of what it looks for beside the map."""
 
+import abc
 import dataclasses
 from typing import Any, NamedTuple
 
@@ -115,9 +116,9 @@ class MissionData(RunData):
     objects: ObjectData | None = None
 
     @property
+    @abc.abstractmethod
     def last_positions(self) -> np.ndarray:
         """Positions (N, 2) of all robots at the end [m]."""
-        raise NotImplementedError
 
     def move_mission(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""

@@ -153,7 +153,7 @@ class WaypointMode(ActionMode):
         offset = jnp.stack([cos * ahead - sin * left, sin * ahead + cos * left])
         # The field has the parameters of the belief's guidance, so costs read both alike.
         waypoint = pose[:2] + offset
-        closed = perception.closed_cells(belief.grid)
+        closed = perception.find_forbidden(belief)
         way = perception.way_to(waypoint, belief.grid, pose, closed=closed)
         return WaypointController(self.drive, way, waypoint)
 
