@@ -58,8 +58,7 @@ def arrays(entries: dict[str, Any]) -> dict[str, np.ndarray]:
 
 def differences(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> list[str]:
     """Return what differs, in words; nothing if all is equal to the bit."""
-    said = [f"{name} is gone" for name in before.keys() - after.keys()]
-    said += [f"{name} is new" for name in after.keys() - before.keys()]
+    said = []
     for name in sorted(before.keys() & after.keys()):
         one, other = before[name], after[name]
         if one.shape != other.shape:
@@ -68,7 +67,9 @@ def differences(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> 
             apart = np.abs(one.astype(np.float64) - other.astype(np.float64))
             first = np.argwhere(np.atleast_1d(one != other))[:1].tolist()
             said.append(f"{name} differs by {np.nanmax(apart):.3g}, first at {first}")
-    return said
+    # Names come last: a change of names alone shows then that no number has changed.
+    said += [f"{name} is gone" for name in sorted(before.keys() - after.keys())]
+    return said + [f"{name} is new" for name in sorted(after.keys() - before.keys())]
 
 
 def main() -> None:

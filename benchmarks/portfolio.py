@@ -158,6 +158,10 @@ def summarise(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             values = [each[name] for each in found if each[name] is not None]
             return float(np.median(values)) if values else None
 
+        def idle(found: list[dict[str, Any]] = found) -> float | None:
+            values = [each["watch"]["mean_idleness"] for each in found if "watch" in each]
+            return float(np.median(values)) if values else None
+
         summary.append(
             {
                 "study": study,
@@ -175,7 +179,7 @@ def summarise(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "targets": f"{sum(e['targets_seen'] for e in found)}"
                 f"/{sum(e['num_targets'] for e in found)}",
                 "untraversable": sum(each["untraversable_steps"] for each in found),
-                "idle [s]": median("mean_idleness"),
+                "idle [s]": idle(found),
                 "diversity": median("diversity"),
                 "replaced": median("replaced"),
             }

@@ -67,15 +67,17 @@ def test_the_warehouse_is_unknown_and_the_plan_of_the_perimeter_known(made) -> N
     warehouse, perimeter = (made[name].scenario for name in ("warehouse", "perimeter"))
     np.testing.assert_array_equal(warehouse.prior.probability, 0.5)
     prior, truth = (np.asarray(grid.probability) for grid in (perimeter.prior, perimeter.world))
+    planted = {each.name: each for each in perimeter.truths}["anomalies"]
     # Known but for what is planted: a box is new, a container is gone, and somebody is about.
-    boxes = np.round(10.0 * np.asarray(perimeter.planted.boxes)).astype(int)
+    boxes = np.round(10.0 * np.asarray(planted.boxes)).astype(int)
     is_known = np.ones(truth.shape, bool)
     for left, low, right, high in boxes:
         is_known[low:high, left:right] = False
     np.testing.assert_array_equal(prior[is_known], truth[is_known])
-    assert perimeter.planted.kinds.tolist() == [1, 2, 3]
+    assert planted.kinds.tolist() == [1, 2, 3]
     assert perimeter.perception.part(AnomalyTest) is not None
-    assert warehouse.planted is warehouse.perception.part(AnomalyTest) is None
+    assert warehouse.truths == ()
+    assert warehouse.perception.part(AnomalyTest) is None
     assert float(warehouse.target_coverage) == pytest.approx(0.95)
     (lidar,) = warehouse.sensors
     assert lidar.field_of_view == pytest.approx(1.5 * math.pi)

@@ -147,8 +147,7 @@ def driven(tmp_path: Path) -> Driven:
         is_finite=blank == 0,
         is_faulty=blank > 0,
         targets_seen=np.zeros(steps, np.int32),
-        mean_idleness=blank,
-        worst_idleness=blank,
+        parts={},
         members=None,
     )
     world = np.asarray(problem.world.probability)
@@ -180,7 +179,6 @@ def driven(tmp_path: Path) -> Driven:
         targets=np.zeros((0, 2)),
         elevation=None,
         traversable=None,
-        idleness=None,
         mover_radii=np.zeros(0),
         member_names=(),
     )

@@ -133,11 +133,14 @@ if __name__ == "__main__":
             ).max()
         )
         for name in one.records._fields
-        # Robots without a chassis have no wheels to tell of.
-        if getattr(one.records, name) is not None or getattr(parts.records, name) is not None
+        if name != "parts"
     }
-    gaps["idleness"] = float(np.abs(np.nan_to_num(one.idleness - parts.idleness)).max())
-    gaps["never seen"] = float((np.isinf(one.idleness) != np.isinf(parts.idleness)).any())
+    records = (each.records.parts["watch"] for each in (one, parts))
+    for name, rows in zip(("mean", "worst"), zip(*records, strict=True), strict=True):
+        gaps[name] = float(np.abs(np.subtract(*rows, dtype=np.float64)).max())
+    idle = [each.parts["watch"].idleness for each in (one, parts)]
+    gaps["idleness"] = float(np.abs(np.nan_to_num(idle[0] - idle[1])).max())
+    gaps["never seen"] = float((np.isinf(idle[0]) != np.isinf(idle[1])).any())
     gaps["beliefs"] = float(np.abs(one.beliefs.astype(int) - parts.beliefs.astype(int)).max())
     gaps["frames"] = float(
         np.abs(one.frames[-1].probability.astype(int) - parts.frames[-1].probability).max()

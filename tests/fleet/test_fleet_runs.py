@@ -15,6 +15,8 @@ from jaxplore.control.guard import MotionGuard
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.parts import IdlenessMap, KeepOut
+from jaxplore.parts.watch.report import WatchRecord, WatchReport
+from jaxplore.parts.wheels.report import WheelRecord, WheelReport
 from jaxplore.report.compute import Timing
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
@@ -128,8 +130,8 @@ def test_a_cell_that_one_robot_sees_is_seen_for_all(mixed) -> None:
     np.testing.assert_allclose(idle[:, is_old], idle[:1, is_old].repeat(3, 0), atol=1e-3)
     reachable = np.asarray(fleet.members[0].map_arrays.reachable)
     least = np.minimum(idle.min(axis=0), 48 * 0.05)[reachable]
-    np.testing.assert_allclose(records.mean_idleness[-1], least.mean(), rtol=1e-4)
-    np.testing.assert_allclose(records.worst_idleness[-1], least.max(), rtol=1e-4)
+    np.testing.assert_allclose(records.parts["watch"].mean_idleness[-1], least.mean(), rtol=1e-4)
+    np.testing.assert_allclose(records.parts["watch"].worst_idleness[-1], least.max(), rtol=1e-4)
 
 
 def test_an_area_stays_closed_for_all_when_maps_are_merged(mixed) -> None:
@@ -263,16 +265,18 @@ def test_metrics_are_those_of_all_robots(recording) -> None:
 def test_a_patrol_is_judged_by_its_idleness(recording, tmp_path) -> None:
     steps = recording.num_steps
     mean = np.linspace(0.0, 4.0, steps, dtype=np.float32)
+    idle = np.where(recording.world > 0.5, np.inf, 2.0)
     patrol = dataclasses.replace(
         recording,
-        records=recording.records._replace(mean_idleness=mean, worst_idleness=3.0 * mean),
-        idleness=np.where(recording.world > 0.5, np.inf, 2.0),
+        records=recording.records._replace(parts={"watch": WatchRecord(mean, 3.0 * mean)}),
+        parts={"watch": WatchReport(idle, is_patrol=True)},
         initial_unknown=0.0,
         target_coverage=None,
     )
     metrics = patrol.metrics()
-    assert metrics.mean_idleness == pytest.approx(mean[steps // 2 :].mean())
-    assert metrics.worst_idleness == pytest.approx(12.0)
+    watch = metrics.parts["watch"]
+    assert watch.mean_idleness == pytest.approx(mean[steps // 2 :].mean())
+    assert watch.worst_idleness == pytest.approx(12.0)
     rows = dict(metrics.rows())
     assert rows["map"] == "known in advance"
     assert rows["idleness"] == "3.0 s, 12.0 s at worst, in the second half"
@@ -292,13 +296,14 @@ def test_vehicles_that_tip_over_are_counted(recording) -> None:
     load = np.where(tipped, 1.5, 0.4).astype(np.float32)
     travel = np.zeros_like(load)
     travel[5:8, 0] = 1.2
-    records = recording.records._replace(is_tipped=tipped, load_transfer=load, wheel_travel=travel)
-    metrics = dataclasses.replace(recording, records=records).metrics()
+    records = recording.records._replace(parts={"wheels": WheelRecord(load, travel, tipped)})
+    wheeled = dataclasses.replace(recording, records=records, parts={"wheels": WheelReport()})
+    metrics = wheeled.metrics().parts["wheels"]
     assert metrics.num_tipped == 1
     assert metrics.tipped_at == pytest.approx(31 * recording.control_period)
     assert metrics.load_transfer == pytest.approx(1.5)
     assert metrics.hanging_steps == 3
-    assert recording.metrics().num_tipped == 0
+    assert recording.metrics().parts == {}
 
 
 def test_contacts_count_once_while_they_last(recording) -> None:

@@ -17,8 +17,8 @@ from jaxplore.geometry.rays import RayCells
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps import Ground
 from jaxplore.parts import AnomalyTest, IdlenessMap
-from jaxplore.parts.anomalies import Anomalies
-from jaxplore.parts.anomaly_reports import APPEARED, GONE, MAX_REPORTS, PERSON, Reports
+from jaxplore.parts.anomalies.reports import APPEARED, GONE, MAX_REPORTS, PERSON, Reports
+from jaxplore.parts.anomalies.robot import Anomalies
 from jaxplore.sensing.change_evidence import BeamModel, beam_evidence
 
 SHAPE, RESOLUTION = (40, 60), 0.1  # 6 m x 4 m

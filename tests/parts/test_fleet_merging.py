@@ -16,8 +16,8 @@ from jaxplore.belief import Obstacles, Part
 from jaxplore.belief.plans import Plans
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.parts import AnomalyTest, IdlenessMap, Recognition
-from jaxplore.parts.anomalies import MATE_REACH, find_mate_beams
-from jaxplore.parts.anomaly_reports import APPEARED, GONE, MAX_REPORTS
+from jaxplore.parts.anomalies.reports import APPEARED, GONE, MAX_REPORTS
+from jaxplore.parts.anomalies.robot import MATE_REACH, find_mate_beams
 from jaxplore.sensing import Detector
 from jaxplore.sensing.beams import Scan
 

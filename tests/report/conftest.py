@@ -8,6 +8,8 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw
 
 from jaxplore.control.base import Members
+from jaxplore.parts.watch.report import WatchRecord, WatchReport
+from jaxplore.parts.wheels.report import WheelRecord, WheelReport
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -112,8 +114,7 @@ def make_recording() -> Callable[..., ExplorationRecording]:
             is_finite=np.ones(steps, bool),
             is_faulty=np.zeros(steps, bool),
             targets_seen=np.zeros(steps, np.int32),
-            mean_idleness=np.zeros(steps, np.float32),
-            worst_idleness=np.zeros(steps, np.float32),
+            parts={},
             members=None,
         )
         covered = np.flatnonzero(records.coverage >= np.float32(0.99))
@@ -144,7 +145,6 @@ def make_recording() -> Callable[..., ExplorationRecording]:
             targets=np.zeros((0, 2), np.float32),
             elevation=None,
             traversable=None,
-            idleness=None,
             mover_radii=np.zeros(0),
             member_names=(),
         )
@@ -200,14 +200,16 @@ def ground_vehicle(recording: ExplorationRecording) -> ExplorationRecording:
         diversity=np.full(steps, 0.25, np.float32),
         is_replaced=k % 5 == 0,
     )
-    records = recording.records._replace(
-        targets_seen=np.minimum(np.arange(steps) // 3, 3).astype(np.int32),
-        is_untraversable=k >= steps - 2,
+    worst = np.where(k < steps // 2, 20.0, 10.0 - np.abs(k - 6.0)).astype(np.float32)
+    wheels = WheelRecord(
         load_transfer=(1.1 * k / max(1, steps - 1)).astype(np.float32),
         wheel_travel=np.where(k % 4 == 3, 1.5, 0.5).astype(np.float32),
         is_tipped=k >= steps - 1,
-        mean_idleness=k,
-        worst_idleness=np.where(k < steps // 2, 20.0, 10.0 - np.abs(k - 6.0)).astype(np.float32),
+    )
+    records = recording.records._replace(
+        targets_seen=np.minimum(np.arange(steps) // 3, 3).astype(np.int32),
+        is_untraversable=k >= steps - 2,
+        parts={"watch": WatchRecord(k, worst), "wheels": wheels},
         members=members,
     )
     traversable = (column < 0.6 * columns) | (row < 0.6 * rows)
@@ -222,7 +224,7 @@ def ground_vehicle(recording: ExplorationRecording) -> ExplorationRecording:
         targets=targets,
         elevation=(0.05 * column + 0.02 * row).astype(np.float32),
         traversable=traversable,
-        idleness=idleness,
+        parts={"watch": WatchReport(idleness, is_patrol=False), "wheels": WheelReport()},
         mover_radii=np.array([0.2, 0.3], np.float32),
         member_names=MEMBERS,
     )
@@ -431,6 +433,7 @@ def fleet_run(recording: ExplorationRecording) -> FleetRecording:
         is_finite=np.ones(steps, bool),
         sent=ones,
         links=np.ones(steps, np.int32),
+        parts={},
     )
     frames = tuple(
         FleetFrame(
@@ -466,3 +469,16 @@ def fleet_run(recording: ExplorationRecording) -> FleetRecording:
         radii=np.array([0.2, 0.3], np.float32),
         coordination="claims",
     )
+
+
+def as_patrol(run: ExplorationRecording) -> ExplorationRecording:
+    """Return a run with a watch without its targets: it is judged by its idleness."""
+    watch = dataclasses.replace(run.parts["watch"], is_patrol=True)
+    nothing = np.zeros((0, 2), np.float32)
+    return dataclasses.replace(run, targets=nothing, parts={**run.parts, "watch": watch})
+
+
+@pytest.fixture
+def make_patrol() -> Callable[[ExplorationRecording], ExplorationRecording]:
+    """Leave out the targets of a run with a watch."""
+    return as_patrol

@@ -226,7 +226,9 @@ def test_the_legend_lies_below_the_curve_and_inside_the_picture(vehicle, written
         assert (x + ImageFont.load_default(13 * scale).getlength(name)) <= image.width
 
 
-def test_a_known_map_shows_idleness_targets_or_distance_and_not_coverage(vehicle, written):
+def test_a_known_map_shows_idleness_targets_or_distance_and_not_coverage(
+    vehicle, written, make_patrol
+):
     def headline(run):
         written.clear()
         frame_image(run, run.frames[-1])
@@ -238,11 +240,10 @@ def test_a_known_map_shows_idleness_targets_or_distance_and_not_coverage(vehicle
     assert headline(seen_at_once) == ["100.0 %", "covered"]
     known = dataclasses.replace(seen_at_once, initial_unknown=0.0)
     assert headline(known) == ["3", "targets found"]
-    nothing = np.zeros((0, 2), np.float32)
     frames = tuple(dataclasses.replace(each, is_found=np.zeros(0, bool)) for each in known.frames)
-    patrol = dataclasses.replace(known, targets=nothing, frames=frames)
+    patrol = dataclasses.replace(make_patrol(known), frames=frames)
     assert headline(patrol) == ["9.0 s", "mean idleness"]
-    assert headline(dataclasses.replace(patrol, idleness=None)) == ["2.0 m", "driven"]
+    assert headline(dataclasses.replace(patrol, parts={})) == ["2.0 m", "driven"]
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.5, 2.0])

@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 
 from jaxplore.maps.world import World
+from jaxplore.parts.anomalies.report import AnomalyReport
+from jaxplore.parts.anomalies.truth import find_anomalies
 from jaxplore.report.drawing.colours import ALARM
 from jaxplore.report.drawing.picture import WIDTH
 from jaxplore.report.exploration.animation import frame_image
-from jaxplore.report.exploration.anomalies import find_report_times, matches, middles
 from jaxplore.report.exploration.canvas import make_canvas
-from jaxplore.report.exploration.mission import AnomalyData
 from jaxplore.report.exploration.plots import map_figure
 from jaxplore.report.recording_arrays import pack_recording, unpack_recording
-from jaxplore.simulation.exploration.planted_anomalies import find_anomalies
 
 BOXES = np.array([[0.5, 0.5, 1.0, 1.0], [2.0, 1.0, 2.4, 1.4], [1.4, 0.2, 1.6, 0.4]])
-FOUND = AnomalyData(
+FOUND = AnomalyReport(
     boxes=BOXES,
     kinds=np.array([1, 2, 3]),
     # Of the first, once again of the first, beside all, of the second as something new, open.
@@ -32,7 +31,7 @@ FOUND = AnomalyData(
 @pytest.fixture
 def patrol(make_recording):
     run = make_recording([(0.5, 1.0), (1.0, 1.2), (1.5, 0.7)] * 2, [0.2] * 5)
-    return dataclasses.replace(run, anomalies=FOUND)
+    return dataclasses.replace(run, parts={"anomalies": FOUND})
 
 
 def test_a_report_is_of_what_is_within_three_quarters_of_a_metre() -> None:
@@ -41,13 +40,14 @@ def test_a_report_is_of_what_is_within_three_quarters_of_a_metre() -> None:
         for column, (left, low, right, high) in enumerate(BOXES):
             nearest = np.clip(x, left, right), np.clip(y, low, high)
             expected[row, column] = np.hypot(x - nearest[0], y - nearest[1]) <= 0.75
-    np.testing.assert_array_equal(matches(FOUND), expected)
+    np.testing.assert_array_equal(FOUND.matches, expected)
     # The second was reported as another kind, the third was only suspected.
-    np.testing.assert_array_equal(find_report_times(FOUND), [1.5, np.inf, np.inf])
+    np.testing.assert_array_equal(FOUND.report_times, [1.5, np.inf, np.inf])
 
 
 def test_metrics_tell_what_was_found_and_when(patrol) -> None:
-    metrics = patrol.metrics()
+    told = patrol.metrics()
+    metrics = told.parts["anomalies"]
     assert (metrics.num_anomalies, metrics.anomalies_found) == (3, 1)
     assert (metrics.false_alarms, metrics.cleared) == (1, 4)
     assert metrics.last_anomaly_at is None
@@ -55,29 +55,28 @@ def test_metrics_tell_what_was_found_and_when(patrol) -> None:
     assert [each["is_planted"] for each in metrics.reports] == [True, True, True, False]
     assert metrics.reports[0]["kind"] == "appeared"
     assert metrics.reports[0]["place"] == [2.2, 1.2]
-    rows = dict(metrics.rows())
+    rows = dict(told.rows())
     assert rows["anomalies"] == "1 of 3 found; 1 false alarms, 4 suspicions dropped"
     assert rows["  gone"] == "(2.9, 0.1) m after 2.5 s, a false alarm"
 
 
 def test_all_found_have_a_last_one(patrol) -> None:
-    few = FOUND._replace(boxes=BOXES[:1], kinds=FOUND.kinds[:1])
-    metrics = dataclasses.replace(patrol, anomalies=few).metrics()
+    few = dataclasses.replace(FOUND, boxes=BOXES[:1], kinds=FOUND.kinds[:1])
+    metrics = few.metrics(patrol)
     assert (metrics.anomalies_found, metrics.last_anomaly_at) == (1, 1.5)
 
 
 def test_a_run_without_a_test_says_nothing_of_it(make_recording) -> None:
     metrics = make_recording([(0.5, 1.0), (1.0, 1.2)], [0.2]).metrics()
-    assert metrics.reports is None
-    assert metrics.num_anomalies == 0
+    assert metrics.parts == {}
     assert "anomalies" not in dict(metrics.rows())
 
 
 def test_the_map_shows_what_was_found_and_what_was_not(patrol) -> None:
     (axes,) = [each for each in map_figure(patrol).axes if each.lines]
     lines = {line.get_label(): line.get_xydata() for line in axes.lines}
-    np.testing.assert_allclose(lines["anomaly found"], middles(FOUND)[:1], atol=1e-5)
-    np.testing.assert_allclose(lines["anomaly, not found"], middles(FOUND)[1:], atol=1e-5)
+    np.testing.assert_allclose(lines["anomaly found"], FOUND.middles[:1], atol=1e-5)
+    np.testing.assert_allclose(lines["anomaly, not found"], FOUND.middles[1:], atol=1e-5)
     np.testing.assert_allclose(lines["report"], FOUND.place[:4], atol=1e-5)
     words = [text.get_text() for text in axes.texts]
     assert {"appeared, 2 s", "gone, 2 s"} <= set(words)
@@ -99,8 +98,9 @@ def test_a_frame_has_a_star_until_the_report_and_a_ring_after_it(patrol) -> None
 
 def test_a_stored_run_has_its_anomalies(patrol) -> None:
     again = unpack_recording(pack_recording(patrol))
-    for one, other in zip(again.anomalies, FOUND, strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert type(again.parts["anomalies"]) is AnomalyReport
+    for name, value in vars(FOUND).items():
+        np.testing.assert_array_equal(getattr(again.parts["anomalies"], name), value)
 
 
 def test_planted_are_hidden_and_gone_shapes_and_who_is_where_nobody_may_be() -> None:

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from jaxplore.parts.watch.report import WatchMetrics
 from jaxplore.report.compute import Compute
 from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.exploration.evaluation import compute_metrics
@@ -70,6 +71,11 @@ def summarise(runs: tuple[ExplorationMetrics, ...]) -> dict[str, Any]:
 
 def to_90(seconds: float | None) -> dict[str, float | None]:
     return {"50": 0.1, "90": seconds, "95": None, "99": None}
+
+
+def watched(mean: float | None, worst: float | None, *, is_patrol: bool = True):
+    metrics = WatchMetrics(mean_idleness=mean, worst_idleness=worst, is_patrol=is_patrol)
+    return {"watch": metrics}
 
 
 def timed(milliseconds: float) -> Compute:
@@ -164,11 +170,10 @@ def test_columns_for_missions_appear_where_any_run_has_them(make: Make) -> None:
     searched = make(
         num_targets=[5, 5, 5],
         targets_seen=[4, 3, 5],
-        mean_idleness=[7.5, 8.5, 9.5],
-        worst_idleness=[20.0, 20.0, 20.0],
+        parts=[watched(7.5, 20.0), watched(8.5, 20.0), watched(9.5, 20.0)],
         untraversable_steps=[0, 2, 1],
     )
-    same = make(num_targets=[5], targets_seen=[4], mean_idleness=[None], worst_idleness=[None])
+    same = make(num_targets=[5], targets_seen=[4], parts=[watched(None, None)])
     comparison = Comparison({"a": searched, "b": same}, {})
     header, *rows = comparison.rows()
     a, b = (dict(zip(header, row, strict=True)) for row in rows)
@@ -178,7 +183,7 @@ def test_columns_for_missions_appear_where_any_run_has_them(make: Make) -> None:
     assert plain_values["a"]["targets_seen"] == [3.5, 4.0, 4.5]
     assert plain_values["a"]["num_targets"] == 5
     assert plain_values["a"]["untraversable_steps"] == 3
-    assert plain_values["b"]["mean_idleness"] == [None, None, None]
+    assert plain_values["b"]["watch.mean_idleness"] == [None, None, None]
     json.dumps(comparison.as_dict(), allow_nan=False)
 
 
@@ -462,8 +467,9 @@ def test_curves_and_films_of_a_known_map_show_no_coverage(make: Make) -> None:
         return [axes.get_ylabel() for axes in curves_figure({"it": runs}).axes]
 
     known = {"initial_unknown": [0.01]}
-    assert labels(**known, mean_idleness=[1.5]) == ["mean idleness [s]"]
-    assert labels(**known, mean_idleness=[1.5], num_targets=[2]) == ["targets found"]
+    assert labels(**known, parts=[watched(1.5, 2.0)]) == ["mean idleness [s]"]
+    searching = watched(1.5, 2.0, is_patrol=False)
+    assert labels(**known, parts=[searching], num_targets=[2]) == ["targets found"]
     unknown = {"initial_unknown": [0.02]}
     both = ["coverage of reachable cells [%]", "unknown reachable cells [%]"]
     assert labels(**unknown) == both

@@ -4,6 +4,7 @@ import json
 import numpy as np
 import pytest
 
+from jaxplore.parts.watch.report import WatchRecord, WatchReport
 from jaxplore.report.drawing.colours import TARGET
 from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.progress import progress
@@ -215,12 +216,12 @@ def test_targets_are_counted_and_the_last_of_all_is_timed(vehicle) -> None:
 def test_idleness_counts_in_the_second_half(make_recording, steps, mean, worst) -> None:
     recording = make_recording([(1.0, 1.0)] * (steps + 1), [0.5] * steps)
     k = np.arange(steps, dtype=np.float32)
-    records = recording.records._replace(mean_idleness=1.0 + k, worst_idleness=9.0 - k)
-    watched = dataclasses.replace(recording, records=records, idleness=recording.belief)
-    metrics = compute_metrics(watched)
+    records = recording.records._replace(parts={"watch": WatchRecord(1.0 + k, 9.0 - k)})
+    parts = {"watch": WatchReport(recording.belief, is_patrol=True)}
+    watched = dataclasses.replace(recording, records=records, parts=parts)
+    metrics = compute_metrics(watched).parts["watch"]
     assert (metrics.mean_idleness, metrics.worst_idleness) == (mean, worst)
-    metrics = compute_metrics(dataclasses.replace(watched, idleness=None))
-    assert metrics.mean_idleness is metrics.worst_idleness is None
+    assert compute_metrics(dataclasses.replace(watched, parts={})).parts == {}
 
 
 def test_members_are_judged_by_what_is_finite(vehicle) -> None:
@@ -236,12 +237,13 @@ def test_members_are_judged_by_what_is_finite(vehicle) -> None:
     }
     assert (metrics.diversity, metrics.replaced) == (0.25, 0.2)
     assert metrics.untraversable_steps == 2
-    assert metrics.load_transfer == pytest.approx(1.1)
-    assert (metrics.tipped_at, metrics.num_tipped) == (pytest.approx(metrics.duration), 1)
-    assert metrics.hanging_steps == sum(k % 4 == 3 for k in range(vehicle.num_steps))
+    wheels = metrics.parts["wheels"]
+    assert wheels.load_transfer == pytest.approx(1.1)
+    assert (wheels.tipped_at, wheels.num_tipped) == (pytest.approx(metrics.duration), 1)
+    assert wheels.hanging_steps == sum(k % 4 == 3 for k in range(vehicle.num_steps))
 
 
-def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> None:
+def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle, make_patrol) -> None:
     def rows(each):
         return dict(compute_metrics(each).rows())
 
@@ -251,7 +253,7 @@ def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> Non
     assert set(full) - set(plain) == names
     assert set(plain) <= set(full)
     assert full["targets"] == "3 of 3 seen, the last at 4.50 s"
-    watching = rows(dataclasses.replace(vehicle, targets=np.zeros((0, 2))))
+    watching = rows(make_patrol(vehicle))
     assert watching["idleness"] == "7.0 s, 10.0 s at worst, in the second half"
     assert full["untraversable"] == "2 steps"
     assert full["load transfer"] == "110.0 % at most"
@@ -261,19 +263,20 @@ def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> Non
     assert full["  bold"] == "27.5 %, 5.5 effective, uncertainty 0.125"
     metrics = compute_metrics(recording)
     assert (metrics.num_targets, metrics.targets_seen, metrics.untraversable_steps) == (0, 0, 0)
-    assert (metrics.tipped_at, metrics.load_transfer, metrics.hanging_steps) == (None, None, 0)
-    for name in ("last_target_at", "mean_idleness", "worst_idleness", "members", "diversity"):
+    assert metrics.parts == {}
+    for name in ("last_target_at", "members", "diversity"):
         assert getattr(metrics, name) is None
     assert metrics.replaced is None
 
 
-def test_a_run_is_reported_by_what_it_is_judged_by(recording, vehicle, no_step) -> None:
+def test_a_run_is_reported_by_what_it_is_judged_by(
+    recording, vehicle, no_step, make_patrol
+) -> None:
     patrol = dataclasses.replace(
-        vehicle,
+        make_patrol(vehicle),
         initial_coverage=1.0,
         initial_unknown=0.0,
         records=vehicle.records._replace(coverage=np.ones_like(vehicle.records.coverage)),
-        targets=np.zeros((0, 2)),
         target_coverage=None,
         finished_step=None,
     )
@@ -314,5 +317,5 @@ def test_everything_is_json_with_and_without_a_step(vehicle, no_step, make_vehic
         plain = metrics.as_dict()
         assert json.loads(json.dumps(plain, allow_nan=False)) == plain
         str(metrics)
-    assert metrics.members is metrics.mean_idleness is metrics.last_target_at is None
+    assert metrics.members is metrics.parts["watch"].mean_idleness is metrics.last_target_at is None
     assert (metrics.num_targets, metrics.targets_seen) == (3, 0)

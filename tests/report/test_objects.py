@@ -5,19 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 
+from jaxplore.parts.recognition.report import ObjectReport
 from jaxplore.report.drawing.colours import ALARM, TARGET
 from jaxplore.report.drawing.picture import WIDTH
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
-from jaxplore.report.exploration.mission import ObjectData
-from jaxplore.report.exploration.objects import class_colours
 from jaxplore.report.exploration.plots import map_figure
 from jaxplore.report.recording_arrays import pack_recording, unpack_recording
 
 NEVER = np.inf
 # Two targets, a barrel that was reported as a person and then as what it is, and a door that was
 # never detected.
-OBJECTS = ObjectData(
+OBJECTS = ObjectReport(
     classes=("door", "person", "barrel"),
     target=1,
     place=np.array([[0.6, 0.4], [1.4, 1.5], [2.2, 0.6], [2.6, 1.6]]),
@@ -38,20 +37,27 @@ def search(make_recording):
     known = np.where(np.isfinite(OBJECTS.detected_at)[:, None], OBJECTS.probability, np.nan)
     is_found = np.array([True, False])
     frames = tuple(
-        dataclasses.replace(each, classes=known, is_found=is_found) for each in run.frames
+        dataclasses.replace(each, parts=shown(known), is_found=is_found) for each in run.frames
     )
-    return dataclasses.replace(run, frames=frames, targets=OBJECTS.place[:2], objects=OBJECTS)
+    parts = {"detector": OBJECTS}
+    return dataclasses.replace(run, frames=frames, targets=OBJECTS.place[:2], parts=parts)
+
+
+def shown(classes: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+    return {"detector": {"classes": classes}}
 
 
 def test_metrics_tell_what_was_reported_and_what_was_wrong(search) -> None:
-    metrics = search.metrics()
+    whole = search.metrics()
+    metrics = whole.parts["detector"]
     assert (metrics.num_objects, metrics.objects_detected) == (4, 3)
     assert (metrics.false_reports, metrics.mislabelled) == (1, 0)
     wanted = -sum(p * np.log(p) for row in OBJECTS.probability for p in row if p > 0.0)
     assert metrics.class_entropy == pytest.approx(wanted)
     told = [(each["label"], each["reported_at"], each["is_true"]) for each in metrics.labels]
     assert told == [("person", 1.0, True), ("person", 1.5, False), ("barrel", 2.0, True)]
-    rows = metrics.rows()
+    rows = whole.rows()
+    assert dict(rows)["targets"].endswith("recognised")
     found = "3 of 4 detected, 3 reports; 1 false reports of a target, 0 other mistakes"
     assert ("objects", found) in rows
     assert ("  person", "(0.6, 0.4) m after 1.0 s, 96 %") in rows
@@ -61,13 +67,13 @@ def test_metrics_tell_what_was_reported_and_what_was_wrong(search) -> None:
 def test_a_target_that_is_taken_for_something_else_is_a_mistake(search) -> None:
     reported = OBJECTS.reported_at.copy()
     reported[1, 0] = 2.5
-    metrics = dataclasses.replace(search, objects=OBJECTS._replace(reported_at=reported)).metrics()
+    metrics = dataclasses.replace(OBJECTS, reported_at=reported).metrics(search)
     assert (metrics.false_reports, metrics.mislabelled) == (1, 1)
 
 
 def test_a_run_without_a_detector_says_nothing_of_it(make_recording) -> None:
     metrics = make_recording([(0.5, 1.0), (1.0, 1.2)], [0.2]).metrics()
-    assert metrics.labels is metrics.class_entropy is None
+    assert metrics.parts == {}
     assert "objects" not in dict(metrics.rows())
 
 
@@ -94,25 +100,28 @@ def test_a_frame_has_badges_and_crosses_out_false_reports_from_then_on(search) -
     before, after = drawn(1.4), drawn(1.6)
     assert amount(before, ALARM) == 0 < amount(after, ALARM)
     # The more certain, the more of the badge has the colour of the class.
-    barrel = class_colours(OBJECTS)[2]
-    less = search.frames[-1].classes.copy()
+    barrel = OBJECTS.class_colours[2]
+    less = search.frames[-1].parts["detector"]["classes"].copy()
     less[2] = (0.3, 0.3, 0.4)
-    full, part = (amount(each, barrel) for each in (before, drawn(1.4, classes=less)))
+    full, part = (amount(each, barrel) for each in (before, drawn(1.4, parts=shown(less))))
     assert 0.25 * full < part < 0.6 * full
     # The target that was found has no badge, and one that was not detected neither.
-    less = search.frames[-1].classes.copy()
+    less = search.frames[-1].parts["detector"]["classes"].copy()
     less[0] = less[3] = np.nan
-    np.testing.assert_array_equal(before, drawn(1.4, classes=less))
+    np.testing.assert_array_equal(before, drawn(1.4, parts=shown(less)))
 
 
 def test_classes_have_colours_of_their_own() -> None:
-    colours = class_colours(OBJECTS)
+    colours = OBJECTS.class_colours
     assert colours[1] == TARGET
     assert len(set(colours)) == 3
 
 
 def test_a_stored_run_has_its_objects(search) -> None:
     again = unpack_recording(pack_recording(search))
-    for one, other in zip(again.objects, OBJECTS, strict=True):
-        np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(again.frames[0].classes, search.frames[0].classes)
+    for name, value in vars(OBJECTS).items():
+        np.testing.assert_array_equal(getattr(again.parts["detector"], name), value)
+    for one, other in zip(again.frames, search.frames, strict=True):
+        np.testing.assert_array_equal(
+            one.parts["detector"]["classes"], other.parts["detector"]["classes"]
+        )

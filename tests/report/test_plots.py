@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
+from jaxplore.parts.watch.report import WatchRecord, WatchReport, idleness_figure
 from jaxplore.report.drawing.colours import MISSED, UNKNOWN, belief_colours
-from jaxplore.report.exploration.idleness import idleness_figure
 from jaxplore.report.exploration.map_axes import true_outline
 from jaxplore.report.exploration.plots import coverage_figure, map_figure
 from jaxplore.report.exploration.window import Window
@@ -96,8 +96,11 @@ def test_the_curve_names_the_levels(recording, make_recording):
 @pytest.mark.parametrize("name", ["recording", "vehicle", "narrow"])
 def test_no_legend_covers_a_curve(name, request):
     run = request.getfixturevalue(name)
-    watched = dataclasses.replace(run, idleness=np.zeros_like(run.world))
-    for figure in (map_figure(run), coverage_figure(run), idleness_figure(watched)):
+    idle = np.zeros(run.num_steps, np.float32)
+    records = run.records._replace(parts={"watch": WatchRecord(idle, idle)})
+    watched = dataclasses.replace(run, records=records)
+    idleness = idleness_figure(watched, WatchReport(np.zeros_like(run.world), is_patrol=True))
+    for figure in (map_figure(run), coverage_figure(run), idleness):
         figure.canvas.draw()
         (legend,) = figure.legends
         assert not any(axes.get_legend() for axes in figure.axes)

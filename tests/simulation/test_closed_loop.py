@@ -336,8 +336,6 @@ def test_the_end_is_the_goal_and_a_known_map(
         entropy=nothing,
         unknown=nothing,
         unknown_map=jnp.asarray(0.249 if is_known else 0.25),
-        mean_idleness=nothing,
-        worst_idleness=nothing,
     )
     state = ExplorationState(
         robot,
@@ -348,6 +346,7 @@ def test_the_end_is_the_goal_and_a_known_map(
         moving_obstacles=None,
         ranges=jnp.zeros(0),
         motion=Motion(jnp.asarray(speed), jnp.asarray(turn_rate)),
+        truths={},
     )
     found = bool(scenario.is_finished(state))
     # 0.4 rad/s move what is half a metre away by 0.2 m/s.

@@ -28,8 +28,9 @@ from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
 from jaxplore.parts import IdlenessMap
+from jaxplore.parts.wheels.truth import TIPPING_TIME, TRACTION, Wheels
 from jaxplore.report.drawing.colours import TARGET
-from jaxplore.simulation.exploration.wheels import TIPPING_TIME, TRACTION, Wheels, drive_on_wheels
+from jaxplore.simulation.exploration.part_truth import Drive
 from jaxplore.simulation.loop import (
     copy_tree,
     initial_loop_state,
@@ -122,7 +123,7 @@ def scenario(
         field_rate=0.25 / PERIOD,
         targets=targets,
         moving_obstacles=None if mover is None else MovingObstacles([mover]),
-        chassis=chassis,
+        truths=[Wheels(chassis)],
         **more,
     )
 
@@ -243,8 +244,9 @@ def test_idleness_is_the_time_since_the_first_sensor_saw_each_cell(search) -> No
             time = PERIOD * step
             last[np.asarray(seen_from(jnp.asarray(state[:3], jnp.float32)))] = time
             idle = np.minimum(time - last, time)[reachable]
-        assert outcome.records.mean_idleness[step] == pytest.approx(idle.mean(), abs=1e-3)
-        assert outcome.records.worst_idleness[step] == pytest.approx(idle.max(), abs=1e-3)
+        watch = outcome.records.parts["watch"]
+        assert watch.mean_idleness[step] == pytest.approx(idle.mean(), abs=1e-3)
+        assert watch.worst_idleness[step] == pytest.approx(idle.max(), abs=1e-3)
     assert 0.0 < idle.mean() < idle.max()
     belief = outcome.state.task.belief
     np.testing.assert_allclose(belief.grid.crop(belief.parts["watch"]), time - last, atol=1e-3)
@@ -405,14 +407,16 @@ def test_a_vehicle_tips_over_on_a_slope_that_is_too_steep_for_it() -> None:
     y = (np.arange(30)[:, None] + 0.5) * RESOLUTION * np.ones((1, 40))
     # 2 h / W times the slope: 0.8 / 1.25 of the load. It drives on.
     outcome = on_wheels(0.64 * y, (1.0, 0.0))
-    np.testing.assert_allclose(outcome.records.load_transfer, 0.8, atol=1e-3)
-    assert len(outcome.records.is_tipped) == 20
-    assert not outcome.records.is_tipped.any()
+    wheels = outcome.records.parts["wheels"]
+    np.testing.assert_allclose(wheels.load_transfer, 0.8, atol=1e-3)
+    assert len(wheels.is_tipped) == 20
+    assert not wheels.is_tipped.any()
     assert outcome.states[-1, 0] > 3.4
     # A higher centre of mass is without load on one side, for 0.2 s: then the run ends.
     outcome = on_wheels(0.64 * y, (1.0, 0.0), height=0.35)
-    np.testing.assert_array_equal(outcome.records.is_tipped, [False, False, False, True])
-    assert (outcome.records.load_transfer > 1.0).all()
+    wheels = outcome.records.parts["wheels"]
+    np.testing.assert_array_equal(wheels.is_tipped, [False, False, False, True])
+    assert (wheels.load_transfer > 1.0).all()
     assert not bool(outcome.records.is_collision.any())
 
 
@@ -420,18 +424,20 @@ def test_it_lies_where_it_tipped_over() -> None:
     # A turn of 2 m/s^2 is too fast for a mass at 1.1 m.
     given = scenario(start=(3.0, 3.0, 0.0), chassis=Chassis(0.4, 0.4, 1.1))
     _, state = begin(given)
-    tipped = Wheels.at_rest()._replace(tipping=jnp.asarray(TIPPING_TIME))
+    (wheels,) = [each for each in given.truths if isinstance(each, Wheels)]
+    tipped = wheels.init()._replace(tipping=jnp.asarray(TIPPING_TIME))
     moving = state.task.robot.at[3].set(1.0)
-    lying = state.task._replace(wheels=tipped, robot=moving)
+    lying = state.task._replace(truths={**state.task.truths, "wheels": tipped}, robot=moving)
     assert not bool(given.is_unfinished(lying))
     command = jnp.asarray([1.0, 2.0])
-    after = drive_on_wheels(
-        tipped, given.robot, moving, given.robot.step(moving, command, given.control_period)
+    ahead = given.robot.step(moving, command, given.control_period)
+    after = wheels.drive(
+        tipped, Drive(given.robot, moving, ahead, command, None, given.control_period)
     )
     np.testing.assert_allclose(after[:4], [3.0, 3.0, 0.0, 0.0], atol=1e-6)
     outcome = drive(given, 40, (1.0, 2.0))
-    assert outcome.records.is_tipped[-1]
-    assert len(outcome.records.is_tipped) < 40
+    assert outcome.records.parts["wheels"].is_tipped[-1]
+    assert len(outcome.records.parts["wheels"].is_tipped) < 40
 
 
 def test_a_wheel_in_the_air_takes_half_of_the_way() -> None:
@@ -440,7 +446,8 @@ def test_a_wheel_in_the_air_takes_half_of_the_way() -> None:
     ways = []
     for twist in (0.06, 0.04):
         outcome = on_wheels(twist / 0.04 * (x - 3.0) * (y - 3.0), (0.2, 0.0))
-        np.testing.assert_allclose(outcome.records.wheel_travel[0], twist / 0.05, rtol=1e-2)
+        wheels = outcome.records.parts["wheels"]
+        np.testing.assert_allclose(wheels.wheel_travel[0], twist / 0.05, rtol=1e-2)
         ways.append(np.diff(outcome.states[:, 0]))
     # The first step begins on what was known at rest.
     np.testing.assert_allclose(ways[0][1:], TRACTION * ways[1][1:], rtol=1e-3)

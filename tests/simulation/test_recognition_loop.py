@@ -10,6 +10,7 @@ from jaxplore import DifferentialDrive, ExplorationScenario, Lidar, OccupancyGri
 from jaxplore.control.base import Controller, Info
 from jaxplore.maps import LabelledObject
 from jaxplore.parts import Recognition
+from jaxplore.parts.recognition.truth import Objects
 from jaxplore.sensing import Detector
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 
@@ -61,7 +62,7 @@ def scenario(objects=OTHERS, recognition=None, **more) -> ExplorationScenario:
         control_rate=20.0,
         sensing_rate=10.0,
         field_rate=5.0,
-        objects=objects,
+        truths=[] if objects is None else [Objects(objects)],
         **{"targets": TARGETS} | more,
     )
 
@@ -111,7 +112,7 @@ def test_the_field_has_what_objects_add_and_nothing_of_earlier_looks(search) -> 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "objects has 1 objects; accepted: none, without a recognition"),
+        ({}, r"truths\[0\] is a Objects, and the perception has no part 'detector'"),
         ({"label": "dog"}, r"objects\[0\].label is 'dog'; accepted: barrel, person"),
         ({"label": "person"}, r"objects\[0\].label is 'person', the class of the targets"),
         ({"position": (0.1, 2.0)}, r"objects\[0\] is \[0.1.*, 2.0\]; accepted: a place in free"),

@@ -54,6 +54,8 @@ class Belief(eqx.Module):
         goal: position (x, y) of the goal at which the robot shall come to rest [m]; none when
             absent.
         goal_heading: heading at the goal [rad]; any when absent.
+        is_sent: whether a part sends the robot somewhere (`Part.errand`); absent without such
+            parts.
         path_stop: arc length of the next point of a path at which the robot shall stand [m]; the
             end of an open path when absent.
         obstacles: known moving obstacles; none when absent.
@@ -90,6 +92,7 @@ class Belief(eqx.Module):
     tracks: Tracks | None = None
     goal: Position | None = None
     goal_heading: Scalar | None = None
+    is_sent: Flag | None = None
     path_stop: Scalar | None = None
 
     @property

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from jaxplore._types import Flag, Position, Scalar
+from jaxplore._types import ArrayLike, Flag, Position, Scalar
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.roadmap import Locomotion
 from jaxplore.maps.field import ScalarField
@@ -33,6 +33,7 @@ def exploration_field(
     goal_heading: Scalar | None = None,
     start: Position | None = None,
     claims: Float[Array, "rows columns"] | None = None,
+    goal_detour: ArrayLike = GOAL_DETOUR,
 ) -> GuidanceField:
     """Return the cost-to-go to remaining information [m] and the direction of its descent.
 
@@ -58,8 +59,9 @@ def exploration_field(
     place that is claimed by another robot keeps its rank before the places with little information.
 
     A goal (x, y) [m] is one more source of the field, with a heading there [rad] if one is given.
-    It comes after all places with enough information and before the places with little, and it is
-    the only source once the map is explored (`is_explored`).
+    It comes after all places with enough information and before the places with little, by its
+    additional cost `goal_detour` [m], and it is the only source once the map is explored
+    (`is_explored`).
 
     `clearance` is the distance to the nearest cell that is not free [m]. Nodes are `stride` cells
     apart; static. For `start`, the position of the robot, see `Roadmap.field`.
@@ -69,7 +71,7 @@ def exploration_field(
     if claims is not None:
         source = source + claims
     if goal is not None:
-        at_goal = roads.sources_at(goal, goal_heading) + GOAL_DETOUR
+        at_goal = roads.sources_at(goal, goal_heading) + goal_detour
         # Once all is explored, the goal is the only source.
         source = jnp.minimum(jnp.where(is_explored, jnp.inf, source), at_goal)
     return roads.field(source, start)

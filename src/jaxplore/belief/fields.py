@@ -13,10 +13,10 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import Flag, GridMask, GridValues, Pose, Position, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.dwell import add_dwell, dwell_discount, with_given_up
-from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
+from jaxplore.belief.exploration_field import GOAL_DETOUR, exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
-from jaxplore.belief.part import Part
+from jaxplore.belief.part import Errand, Part
 from jaxplore.belief.roadmap import Locomotion
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
@@ -111,13 +111,16 @@ class BeliefFields(eqx.Module):
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         if belief.gain is not None:
             known = 1.0 - unknown_fraction(belief.grid)
-            belief = dataclasses.replace(belief, gain=belief.gain.update(known, elapsed))
+            gain = belief.gain.update(known, elapsed, belief.is_sent)
+            belief = dataclasses.replace(belief, gain=gain)
         return self._derive_fields(belief, information, dwell, pose)
 
     def _derive_fields(
         self, belief: Belief, information: InformationField, dwell: GridValues, pose: Pose
     ) -> Belief:
         """Return the belief with the fields that follow from its map and the information."""
+        states = self._plan_errands(belief, pose)
+        errand = self._errand(states)
         guidance, is_explored = self._make_guidance(
             belief.grid,
             belief.clearance,
@@ -126,6 +129,7 @@ class BeliefFields(eqx.Module):
             pose,
             belief.claims,
             belief.revisit,
+            errand,
         )
         return dataclasses.replace(
             belief,
@@ -136,7 +140,52 @@ class BeliefFields(eqx.Module):
             # A lost robot has no finite pose. Costs measure from the last finite one.
             pose=jnp.where(jnp.isfinite(pose).all(), pose, belief.pose),
             to_goal=self._to_goal(belief.grid, belief.parts, pose),
+            parts=states,
+            goal=self._next_goal(errand),
+            is_sent=None if errand is None else errand.is_due,
         )
+
+    def _plan_errands(self, belief: Belief, pose: Pose) -> dict[str, Any]:
+        """Return the states of parts, with the decisions whether their errands are due."""
+        states = dict(belief.parts)
+        for part, own in self._list_active(belief.parts):
+            errand = part.errand(own) if part.has_errands else None
+            if errand is not None:
+                way = exploration_field(
+                    belief.clearance,
+                    jnp.zeros_like(belief.dwell),
+                    self.required_clearance,
+                    self.locomotion,
+                    decay_length=self.decay_length,
+                    min_information=self.min_information,
+                    stride=self.field_sensor.stride,
+                    goal=errand.place,
+                    is_explored=jnp.array(True),
+                    start=pose[:2],
+                    goal_detour=0.0,
+                ).from_pose(pose)
+                cost = way(pose[:2])
+                cost = jnp.where(cost < way.outside, cost, jnp.inf)
+                states[part.name] = part.plan_errand(own, cost)
+        return states
+
+    def _errand(self, states: Mapping[str, Any]) -> Errand | None:
+        """Return the errand of the first part for which one is due; None without errands."""
+        found: Errand | None = None
+        for part, own in reversed(self._list_active(states)):
+            errand = part.errand(own)
+            if errand is not None and found is not None:
+                place = jnp.where(errand.is_due, errand.place, found.place)
+                errand = Errand(place, errand.is_due | found.is_due)
+            found = found if errand is None else errand
+        return found
+
+    def _next_goal(self, errand: Errand | None) -> Position | None:
+        """Return where the robot shall come to rest: the place of an errand that is due, or the
+        goal; None without both."""
+        if errand is None or self.goal is None:
+            return self.goal if errand is None else errand.place
+        return jnp.where(errand.is_due, errand.place, self.goal)
 
     def find_forbidden(self, belief: Belief) -> GridMask | None:
         """Return the cells (H, W) that parts of the robot forbid to enter; None if none does.
@@ -232,8 +281,10 @@ class BeliefFields(eqx.Module):
         pose: Pose,
         claims: GridValues | None = None,
         revisit: GridValues | None = None,
+        errand: Errand | None = None,
     ) -> tuple[GuidanceField, Flag]:
-        """Return the guidance, and whether the map counts as explored; never without a goal."""
+        """Return the guidance, and whether it leads to a goal: because the map counts as explored,
+        or on an errand."""
         worth = information.total
         if revisit is not None:
             worth = worth + revisit
@@ -242,6 +293,14 @@ class BeliefFields(eqx.Module):
         is_known = is_goal_next = jnp.array(False)
         if self.goal is not None:
             is_known = unknown_fraction(grid) < self.max_unknown
+        goal, detour = None if self.is_goal_apart else self.goal, jnp.asarray(GOAL_DETOUR)
+        heading = None if self.is_goal_apart else self.goal_heading
+        is_next = is_known
+        if errand is not None:
+            # Without a goal of its own, the place is no source while the robot explores.
+            detour = detour if goal is not None else jnp.where(errand.is_due, detour, jnp.inf)
+            goal = errand.place if goal is None else jnp.where(errand.is_due, errand.place, goal)
+            is_next = is_known | errand.is_due
         guidance = exploration_field(
             clearance,
             worth,
@@ -250,12 +309,13 @@ class BeliefFields(eqx.Module):
             decay_length=self.decay_length,
             min_information=self.min_information,
             stride=self.field_sensor.stride,
-            goal=None if self.is_goal_apart else self.goal,
-            goal_heading=None if self.is_goal_apart else self.goal_heading,
-            is_explored=is_known,
+            goal=goal,
+            goal_heading=heading,
+            is_explored=is_next,
             start=pose[:2],
             claims=claims,
+            goal_detour=detour,
         ).from_pose(pose)
         if self.goal is not None and not self.is_goal_apart:
             is_goal_next = leads_to_goal(guidance, pose[:2])
-        return guidance, is_known | is_goal_next
+        return guidance, is_next | is_goal_next

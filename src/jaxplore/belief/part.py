@@ -7,7 +7,7 @@ import equinox as eqx
 from jaxtyping import Array, Bool
 
 from jaxplore import _kinds
-from jaxplore._types import GridMask, GridValues, Pose, Scalar
+from jaxplore._types import Flag, GridMask, GridValues, Pose, Position, Scalar
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.information.field import InformationField
 from jaxplore.maps.ground import Ground
@@ -40,6 +40,18 @@ class Observation(NamedTuple):
     obstacles: Obstacles | None = None
 
 
+class Errand(NamedTuple):
+    """A place to which a part sends the robot.
+
+    Args:
+        place: position (x, y) [m].
+        is_due: whether the robot must go there now, before all else, and come to rest.
+    """
+
+    place: Position
+    is_due: Flag
+
+
 class Part(eqx.Module):
     """A capability of a robot: what it knows beside the map, and what that adds to the fields.
 
@@ -54,6 +66,8 @@ class Part(eqx.Module):
     """Names of the parts that must come before it."""
     is_revisiting: ClassVar[bool] = True
     """Whether places must be seen again for it, so that none is given up."""
+    is_patrol: ClassVar[bool] = False
+    """Whether a run of a robot with it ends by nothing but targets, unless another end is given."""
 
     def check(self, sensors: Sequence[Sensor], ground: Ground | None) -> None:
         """Check that a robot with these sensors on this ground can have the part.
@@ -124,6 +138,27 @@ class Part(eqx.Module):
         """
         return None
 
+    def errand(self, own: Any) -> Errand | None:
+        """Return the place to which the robot is sent, and whether it must go there; or None.
+
+        While it must, the place is the only one that guidance leads to, and nothing else ends the
+        task.
+
+        Args:
+            own: the state.
+        """
+        return None
+
+    def plan_errand(self, own: Any, way: Scalar) -> Any:
+        """Return the state with the decision whether the errand is due, when fields are updated.
+
+        Args:
+            own: the state before.
+            way: cost-to-go from the robot to the place through known free space [m]; infinite
+                without a way.
+        """
+        return own
+
     def merge(self, own: Any, told: Any, is_heard: Bool[Array, " N"]) -> Any:
         """Return the state of a robot after the robots of its fleet have told it theirs.
 
@@ -153,6 +188,11 @@ class Part(eqx.Module):
     def closes_cells(self) -> bool:
         """Whether there are cells that the robot must not enter."""
         return type(self).closed_cells is not Part.closed_cells
+
+    @property
+    def has_errands(self) -> bool:
+        """Whether the part sends the robot somewhere."""
+        return type(self).errand is not Part.errand
 
     @property
     def adds_information(self) -> bool:

@@ -217,6 +217,14 @@ class Perception(BeliefFields):
         """
         return next((each for each in self.parts if isinstance(each, kind)), None)
 
+    def part_named(self, name: str) -> Part | None:
+        """Return the part of a name; None without it.
+
+        Args:
+            name: the name, such as `watch`.
+        """
+        return next((each for each in self.parts if each.name == name), None)
+
     def for_batches(self) -> "Perception":
         """Return a copy for use under `jax.vmap`, which recomputes fields instead of updating them.
 
@@ -244,7 +252,10 @@ class Perception(BeliefFields):
         information = self._cell_information(grid, states, None)
         dwell = jnp.zeros_like(information.total)
         nothing = jnp.zeros(())
-        guidance, is_explored = self._make_guidance(grid, clearance, information, dwell, pose)
+        errand = self._errand(states)
+        guidance, is_explored = self._make_guidance(
+            grid, clearance, information, dwell, pose, errand=errand
+        )
         tracks = None if self.tracker is None else self.tracker.init(clearance)
         return Belief(
             grid,
@@ -261,8 +272,9 @@ class Perception(BeliefFields):
             states,
             gain=Gain(nothing, nothing) if self.gives_up else None,
             tracks=tracks,
-            goal=self.goal,
+            goal=self._next_goal(errand),
             goal_heading=self.goal_heading,
+            is_sent=None if errand is None else errand.is_due,
         )
 
     def free_below_robot(self, grid: OccupancyGrid, pose: Pose) -> OccupancyGrid:

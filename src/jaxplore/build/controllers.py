@@ -8,7 +8,7 @@ from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
 from jaxplore.build.fleet import cost_of_others, has_others
 from jaxplore.build.localisation import uncertain_robot
-from jaxplore.build.parts import build_robot
+from jaxplore.build.parts import build_chassis, build_robot
 from jaxplore.build.user_code import import_controller, import_rule
 from jaxplore.build.world import RunWorld, expects_people
 from jaxplore.control.base import Controller
@@ -50,6 +50,7 @@ def build_controller(
             an architecture of the user's own that is none.
     """
     robot, perception = scenario.robot, scenario.perception
+    chassis = build_chassis(settings.chassis, settings.robot, float(robot.radius))
     moving: dict[str, Any] = {
         "has_moving_obstacles": _has_moving(settings, world),
         "occlusion_cost": build_occlusion_cost(settings, world),
@@ -60,7 +61,7 @@ def build_controller(
         given = settings.localisation
         controller = explorer(
             robot,
-            chassis=scenario.chassis,
+            chassis=chassis,
             uncertain=uncertain,
             **({} if given is None else arguments(given, explorer)),
             **moving,
@@ -68,7 +69,7 @@ def build_controller(
         )
         return controller if uncertain is None else UncertaintyAware(controller)
     if settings.architecture == "portfolio":
-        return _portfolio(settings, world, scenario.chassis)
+        return _portfolio(settings, world, chassis)
     own = import_rule(settings.architecture) if is_own(settings.architecture) else None
     if own is not None or settings.architecture in BASELINES:
         return target_explorer(
@@ -78,7 +79,7 @@ def build_controller(
             world.grid,
             # A choice is due when the fields that it reads are new.
             every=max(1, round(settings.rates.control / settings.rates.fields)),
-            chassis=scenario.chassis,
+            chassis=chassis,
             **moving,
             **arguments(settings.controller, explorer),
         )

@@ -29,13 +29,16 @@ from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
-from jaxplore.parts.anomalies import AnomalyTest
-from jaxplore.parts.watch import IdlenessMap
+from jaxplore.parts.anomalies.robot import AnomalyTest
+from jaxplore.parts.recognition.truth import Objects
+from jaxplore.parts.watch.robot import IdlenessMap
+from jaxplore.parts.wheels.truth import Wheels
 from jaxplore.sensing.base import Sensor
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.scenario import Scenario
 
@@ -86,15 +89,12 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         goal=None if world.goal is None else world.goal[:2],
         altitude=settings.altitude,
         targets=world.targets or None,
-        # Without a detector, objects other than the targets mean nothing to the robot.
-        objects=None if settings.detector is None else world.objects,
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults, world.datum),
-        chassis=build_chassis(settings.chassis, settings.robot, float(robot.radius)),
         localisation=build_localisation(
             settings, sensors[0], world.grid.resolution, is_map_known=world.prior is not None
         ),
-        planted=None if settings.anomalies is None else world.planted,
+        truths=_truths(settings, robot, world),
         datum=world.datum,
         **{
             **arguments(settings, ExplorationScenario),
@@ -160,6 +160,20 @@ def _parts(settings: Settings, world: RunWorld) -> list[Part]:
     if settings.detector is not None:
         parts.append(build_recognition(settings.detector))
     return parts
+
+
+def _truths(settings: Settings, robot: Dynamics, world: RunWorld) -> list[PartTruth]:
+    """Build what is true of the robot's parts, and of the vehicle."""
+    truths = list[PartTruth]()
+    if settings.anomalies is not None and world.planted is not None:
+        truths.append(world.planted)
+    # Without a detector, objects other than the targets mean nothing to the robot.
+    if settings.detector is not None:
+        truths.append(Objects(world.objects))
+    chassis = build_chassis(settings.chassis, settings.robot, float(robot.radius))
+    if chassis is not None:
+        truths.append(Wheels(chassis))
+    return truths
 
 
 def with_start(entries: dict[str, Any]) -> dict[str, Any]:

@@ -27,8 +27,8 @@ from jaxplore.geometry.chassis import Chassis
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.parts.keep_out import KeepOut
-from jaxplore.parts.recognition import Recognition
+from jaxplore.parts.keep_out.robot import KeepOut
+from jaxplore.parts.recognition.robot import Recognition
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.detector import Detector

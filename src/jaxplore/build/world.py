@@ -12,9 +12,9 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.relative import relative_world
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import LabelledObject, MovingObstacle, World, is_world_file, three_zones
+from jaxplore.parts.anomalies.truth import PlantedAnomalies, find_anomalies
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, ZONES, Settings
-from jaxplore.simulation.exploration.planted_anomalies import PlantedAnomalies, find_anomalies
 from jaxplore.simulation.exploration.reachability import open_spot, with_closed
 
 ENOUGH = 1.0 - 1e-6

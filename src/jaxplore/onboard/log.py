@@ -170,7 +170,6 @@ class DriveLog:
             goal=None,
             elevation=None,
             traversable=self._find_traversable(belief),
-            idleness=None,
             mover_radii=np.zeros(0),
         )
 
@@ -197,7 +196,6 @@ class DriveLog:
     def _records(
         self, rows: np.ndarray, coverage: np.ndarray, entropy: np.ndarray, clearance: np.ndarray
     ) -> ExplorationRecord:
-        nothing = np.zeros(len(rows), np.float32)
         never = np.zeros(len(rows), bool)
         # Records of a recording are in NumPy, those of the loop on the device.
         columns: dict[str, Any] = {
@@ -207,8 +205,7 @@ class DriveLog:
             "entropy": entropy.astype(np.float32),
             "unknown": (1.0 - coverage).astype(np.float32),
             "unknown_map": (1.0 - coverage).astype(np.float32),
-            "mean_idleness": nothing,
-            "worst_idleness": nothing,
+            "parts": {},
             "clearance": clearance.astype(np.float32),
             "is_collision": never,
             "is_untraversable": never,

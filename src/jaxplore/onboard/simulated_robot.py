@@ -272,14 +272,14 @@ def _measure(
     pose = compose(scenario.robot.pose(state.robot), mount)
     scans = truth.scans(scenario.sensors, pose, key)
     since = scenario.rates.since_scan
-    judge = Judge(scenario.perception, scenario.map_arrays.reachable)
+    judge = Judge(scenario.perception, scenario.map_arrays.reachable, scenario.truths)
     before = judge.count_window(state.belief.grid, pose)
     belief = scenario.perception.observe(state.belief, scans, pose, since)
     sums = state.judged.sums.update(before, judge.count_window(belief.grid, pose))
-    progress = map_progress(sums, belief, judge.reachable, moment.time)
-    judged = state.judged._replace(sums=sums, progress=progress)
+    judged = state.judged._replace(sums=sums, progress=map_progress(sums, belief.grid))
+    truths = judge.judge_parts(state.truths, belief, sums, moment.time)
     ranges = jnp.concatenate([scan.ranges for scan in scans])
-    return state.with_belief(belief)._replace(judged=judged, ranges=ranges), scans[0]
+    return state.with_belief(belief)._replace(judged=judged, truths=truths, ranges=ranges), scans[0]
 
 
 @eqx.filter_jit

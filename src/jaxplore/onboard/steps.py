@@ -276,4 +276,4 @@ def frame(
         )
     is_seen = jnp.zeros(scenario.num_targets, bool)
     seen = (scenario.robot, scenario.sensors[0], state, belief, is_seen)
-    return frame_arrays(*seen, scan, None, planned)
+    return frame_arrays(*seen, scan, None, planned, scenario.truths)

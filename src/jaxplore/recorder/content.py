@@ -55,6 +55,8 @@ class Content:
         if not len(times):
             return
         fields = {name: rows for name, rows in records._asdict().items() if rows is not None}
+        for part, record in fields.pop("parts", {}).items():
+            fields |= {f"{part}.{name}": rows for name, rows in record._asdict().items()}
         # Messages are in the order of their times.
         given = {
             f"/{topic}": (names, fields[field].tolist())

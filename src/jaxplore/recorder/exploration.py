@@ -9,7 +9,6 @@ from jaxplore.recorder.content import BASE, MAP, MARK, Content
 from jaxplore.report.drawing.colours import MOVER
 from jaxplore.report.drawing.palette import HEAT, MAX_HEAT, REFERENCE
 from jaxplore.report.exploration.data import ExplorationFrame
-from jaxplore.report.exploration.objects import find_known_objects
 
 UNKNOWN_LEVEL = 128
 """Level of the probability 1/2 of 255."""
@@ -56,7 +55,8 @@ class ExplorationContent(Content):
         ]
         objects = [
             messages.disc(place, MARK, colour)
-            for place, colour in find_known_objects(run.objects, frame)
+            for each in run.parts.values()
+            for place, colour in each.marks(frame)
         ]
         goal = [] if run.goal is None else [messages.disc(run.goal, MARK, REFERENCE)]
         entities: dict[str, Any] = {
@@ -64,7 +64,7 @@ class ExplorationContent(Content):
             "moving obstacles": (MAP, {"cylinders": movers}),
             "targets": self.mark_targets(frame),
             "goal": (MAP, {"cylinders": goal}),
-            "recognised": (MAP, {"cylinders": objects}),
+            "parts": (MAP, {"cylinders": objects}),
         }
         self.log("/objects", messages.scene(self.channels.stamp(time), entities), time)
 

@@ -19,6 +19,8 @@ from jaxplore.report.metrics import Column as Column
 from jaxplore.report.metrics import Curve as Curve
 from jaxplore.report.metrics import Metrics as Metrics
 from jaxplore.report.metrics import thin_series as thin_series
+from jaxplore.report.part import PartMetrics as PartMetrics
+from jaxplore.report.part import PartReport as PartReport
 from jaxplore.report.recording import Frame as Frame
 from jaxplore.report.recording import LiveCurves as LiveCurves
 from jaxplore.report.recording import Recording as Recording

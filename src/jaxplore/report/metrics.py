@@ -173,6 +173,14 @@ class Metrics(abc.ABC):
     levels: ClassVar[tuple[int, ...]] = ()
     """Levels [%] of the entries of fields that are mappings by level, such as `time_to`."""
 
+    def list_columns(self) -> tuple[Column, ...]:
+        """Return the columns of a comparison's table; by default `columns`."""
+        return self.columns
+
+    def list_curves(self) -> tuple[Curve, ...]:
+        """Return the curves of a comparison; by default `plotted`."""
+        return self.plotted
+
     def series(self) -> Mapping[str, Sequence[float | None]]:
         """Return quantities over time: "time" [s], and one entry for each of `plotted`."""
         return {}

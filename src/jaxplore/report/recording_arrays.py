@@ -20,6 +20,7 @@ from jaxplore.maps.files.npz import MALFORMED_NPZ, read_arrays
 from jaxplore.report.compute import Timing
 from jaxplore.report.folder import MARK
 from jaxplore.report.metrics import Metrics
+from jaxplore.report.part import PartReport
 from jaxplore.report.recording import Frame, Recording
 
 NAME = "state.npz"
@@ -65,6 +66,8 @@ def _pack(value: Any, path: str, arrays: dict[str, np.ndarray]) -> Any:
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         arrays[path] = np.asarray(value, order="C")
         return {"array": path}
+    if isinstance(value, PartReport):
+        return {"part": type(value).__name__, "fields": _pack_all(vars(value), path, arrays)}
     if isinstance(value, Timing):
         return {"fields": _pack_all(vars(value), path, arrays)}
     if hasattr(value, "_asdict"):
@@ -149,6 +152,7 @@ def unpack_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
     _check_fields(kind, {**fields, "frames": ()})
     if len({len(rows) for rows in jax.tree.leaves(fields["records"])}) > 1:
         raise ValueError("its records differ in length")
+    fields["records"] = _name_parts(fields["records"], fields.get("parts", {}))
     recording: Recording = kind(**fields, frames=_frames(structure, arrays))
     return recording
 
@@ -201,6 +205,8 @@ def _unpack(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
         value = tuple(_unpack(each, Any, arrays) for each in packed["items"])
     elif "mapping" in packed:
         value = {name: _unpack(each, Any, arrays) for name, each in packed["mapping"].items()}
+    elif "part" in packed:
+        return _make_part(packed, arrays)
     elif "fields" in packed:
         return _make_record(packed["fields"], hint, arrays)
     else:
@@ -212,6 +218,28 @@ def _unpack(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if is_checked and not isinstance(value, accepted):
         raise ValueError(f"a field is {short_repr(value)} and not of type {hint}")
     return value
+
+
+def _make_part(packed: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> PartReport:
+    """Return what a run shows of a part; its class is looked up among those that are imported."""
+    kind = _find_class(PartReport, packed["part"])
+    hints = typing.get_type_hints(kind)
+    fields = {
+        name: _unpack(value, hints.get(name, Any), arrays)
+        for name, value in packed["fields"].items()
+    }
+    _check_fields(kind, fields)
+    report: PartReport = kind(**fields)
+    return report
+
+
+def _name_parts(records: Any, parts: Mapping[str, PartReport]) -> Any:
+    """Return records with those of parts in classes of their own."""
+    types = {name: each.record_type for name, each in parts.items() if each.record_type is not None}
+    if not types:
+        return records
+    named = {name: make(**records.parts[name]._asdict()) for name, make in types.items()}
+    return records._replace(parts={**records.parts, **named})
 
 
 def _make_record(fields: Mapping[str, Any], hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:

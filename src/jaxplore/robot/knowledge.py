@@ -31,6 +31,9 @@ class Knowledge(NamedTuple):
     def update(self, belief: Belief, position: Position, period: Scalar) -> "Knowledge":
         """Return the knowledge a period [s] later; the robot takes itself to be at `position`."""
         is_worth = leads_to_information(belief.guidance(position))
+        if belief.is_sent is not None:
+            # It goes on afterwards.
+            is_worth = is_worth | belief.is_sent
         return self._replace(idle=jnp.where(is_worth, 0.0, self.idle + period))
 
     def count_walls(self, grid: OccupancyGrid) -> "Knowledge":

@@ -15,9 +15,9 @@ from jaxplore.maps.generators.office import office
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
-from jaxplore.parts.anomalies import AnomalyTest
-from jaxplore.parts.recognition import Recognition
-from jaxplore.parts.watch import IdlenessMap
+from jaxplore.parts.anomalies.robot import AnomalyTest
+from jaxplore.parts.recognition.robot import Recognition
+from jaxplore.parts.watch.robot import IdlenessMap
 from jaxplore.planning.presets.flight import Flight
 from jaxplore.sensing.detector import Detector
 from jaxplore.settings.code_names import WordsOrOwn

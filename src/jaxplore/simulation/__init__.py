@@ -14,6 +14,7 @@ from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as 
 from jaxplore.simulation.exploration.moving_obstacles import (
     MovingObstacleState as MovingObstacleState,
 )
+from jaxplore.simulation.exploration.part_truth import PartTruth as PartTruth
 from jaxplore.simulation.exploration.scenario import ExplorationScenario as ExplorationScenario
 from jaxplore.simulation.faults import Faults as Faults
 from jaxplore.simulation.fleet.radio import Radio as Radio

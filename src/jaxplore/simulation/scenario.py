@@ -134,6 +134,11 @@ class Scenario(eqx.Module):
         """Default objective of tuning, to minimize: a sum of metrics, see `jaxplore.study`."""
         return "finished_at"
 
+    @property
+    def metric_groups(self) -> tuple[str, ...]:
+        """Names of groups of metrics beside those of `metrics_type`; none by default."""
+        return ()
+
     @abc.abstractmethod
     def init(self, key: Key | None) -> tuple[Any, Any]:
         """Return the initial state of the task, and the belief before any measurement.

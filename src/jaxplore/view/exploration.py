@@ -7,7 +7,6 @@ import numpy as np
 from jaxplore.report.drawing.colours import FREE, TARGET, blend
 from jaxplore.report.drawing.palette import LIDAR_RAY, REFERENCE
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
-from jaxplore.report.exploration.objects import find_known_objects
 from jaxplore.view.scene import HEAD_ROOM, REFERENCES, SCAN, Scene
 from jaxplore.view.shapes import segments
 from jaxplore.view.textures import Ground
@@ -107,8 +106,9 @@ class ExplorationScene(Scene):
             self.ring(name, place, radius, colour)
 
     def _draw_objects(self, frame: ExplorationFrame) -> None:
-        """Draw a disc in the colour of the class that is most probable, paler if less certain."""
-        known = find_known_objects(self._recording.objects, frame)
+        """Draw a disc for each place that parts of the robot mark."""
+        parts = self._recording.parts.values()
+        known = [mark for each in parts for mark in each.marks(frame)]
         shown = [(*place.tolist(), *colour) for place, colour in known]
         if shown == self._known:
             return

@@ -7,7 +7,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing.colours import (
-    ALARM,
     CLOSED,
     CLOSED_SHARE,
     FREE,
@@ -39,11 +38,10 @@ from jaxplore.report.drawing.palette import (
 )
 from jaxplore.report.drawing.picture import SUPERSAMPLING, WIDTH, pairs
 from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts, draw_targets
-from jaxplore.report.exploration.anomalies import find_report_times, middles
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.footer import draw_footer
-from jaxplore.report.exploration.objects import draw_objects, mission_colours
+from jaxplore.report.exploration.legend import mission_colours
 from jaxplore.report.exploration.progress import find_carried_steps
 
 NUM_RAYS = 45
@@ -137,11 +135,8 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
     for piece in np.split(recording.positions[: frame.step + 1], cuts):
         line(piece, TRAIL, 1.5)
     draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
-    if recording.objects is not None and len(frame.classes):
-        draw_objects(canvas, draw, recording.objects, frame)
-    if recording.anomalies is not None:
-        is_found = find_report_times(recording.anomalies) <= frame.time
-        draw_targets(canvas, draw, middles(recording.anomalies), is_found, ALARM)
+    for each in recording.parts.values():
+        each.draw(canvas, draw, recording, frame)
     _draw_moving_obstacles(canvas, frame, draw)
     _draw_tracks(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)

@@ -13,14 +13,12 @@ from jaxplore.report.recording import LiveCurves, move_records, move_states
 
 
 class MapProgress(NamedTuple):
-    """Statistics of the known map and of its idleness: see `ExplorationRecord`."""
+    """Statistics of the known map: see `ExplorationRecord`."""
 
     coverage: Scalar
     entropy: Scalar
     unknown: Scalar
     unknown_map: Scalar
-    mean_idleness: Scalar
-    worst_idleness: Scalar
 
 
 class ExplorationRecord(NamedTuple):
@@ -41,18 +39,10 @@ class ExplorationRecord(NamedTuple):
         is_finite: whether any rollout had a finite cost.
         is_faulty: whether a fault of scans or odometry was active.
         targets_seen: number of targets found so far: seen, or with a detector reported.
-        mean_idleness: mean over the reachable cells of the time since each was last seen, or since
-            the start [s]; 0 without an idleness map.
-        worst_idleness: the greatest of these times [s].
+        parts: record of each part of the robot that has one, by its name.
         members: diagnostics of the members of a controller that holds several.
         stop: why the guard stopped the robot in the step, an index into `control.guard.REASONS`; 0
             if it did not, None without a guard.
-        load_transfer: load transfer between two pairs of wheels, as a share of the whole load;
-            above 1 one of them is without load. None for a robot without a chassis, as are the two
-            below.
-        wheel_travel: how far the ground moves each wheel from the plane of the four, as a share of
-            the travel of the suspension; above 1 a wheel hangs in the air.
-        is_tipped: whether the vehicle has tipped over.
         pose_error: distance of the estimated position from the true one [m]; None for a robot that
             knows its pose, as is the one below.
         uncertainty: standard deviation of the position, as the robot estimates it [m].
@@ -73,13 +63,9 @@ class ExplorationRecord(NamedTuple):
     is_finite: Flag
     is_faulty: Flag
     targets_seen: Count
-    mean_idleness: Scalar
-    worst_idleness: Scalar
+    parts: dict[str, Any]
     members: Members | None
     stop: Count | None = None
-    load_transfer: Scalar | None = None
-    wheel_travel: Scalar | None = None
-    is_tipped: Flag | None = None
     pose_error: Scalar | None = None
     uncertainty: Scalar | None = None
     is_carried: Flag | None = None

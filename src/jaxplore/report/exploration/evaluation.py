@@ -13,7 +13,6 @@ from jaxplore.report.exploration.localisation import localisation_metrics
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.mission_metrics import mission_curves, mission_metrics
 from jaxplore.report.exploration.progress import longest_stall, progress
-from jaxplore.report.exploration.wheels import wheel_metrics
 from jaxplore.report.metrics import thin_series
 from jaxplore.report.motion import command_jerk, episodes
 
@@ -67,7 +66,6 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         minimum_effective_sample_size=finite(np.min(sample_size, initial=np.inf)),
         non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
         untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
-        **wheel_metrics(records, period),
         **mission_metrics(recording),
         members=member_means(recording),
         diversity=diversity,

@@ -26,6 +26,7 @@ def draw_footer(canvas: Canvas, frame: ExplorationFrame, image: Image.Image) -> 
     targets = len(canvas.recording.targets)
     if targets:
         footer.text(EDGE, 56, f"targets {int(np.sum(frame.is_found))} of {targets}")
+    draw_part_words(canvas.recording, frame, footer)
     footer.scale_bar(canvas.scale / SUPERSAMPLING)
     footer.legend()
 
@@ -34,7 +35,7 @@ def _draw_judged(canvas: Canvas, frame: ExplorationFrame, footer: Footer, step: 
     """Draw the quantity by which the task is judged: its value now and its curve.
 
     It is the coverage. If the map was known in advance, it is the number of targets found, without
-    targets the mean idleness, and without an idleness map the distance driven.
+    targets the headline of a part, and without one the distance driven.
     """
     recording = canvas.recording
     time, coverage, _, path = canvas.progress
@@ -59,15 +60,24 @@ def draw_mission(
 
     `time` [s] and `path`, the distance driven until then [m], have one value for each instant.
     """
+    found = [each.headline(recording, step) for each in recording.parts.values()]
+    headline = next((each for each in found if each is not None), None)
     if len(recording.targets):
         values = at_instants(recording.records.targets_seen, 0.0)
         footer.headline(f"{int(np.sum(frame.is_found))}", "targets found")
         most = float(len(recording.targets))
-    elif recording.idleness is not None:
-        values = at_instants(recording.records.mean_idleness, 0.0)
-        footer.headline(f"{values[step]:.1f} s", "mean idleness")
-        most = float(np.max(values))
+    elif headline is not None:
+        footer.headline(headline.text, headline.label)
+        values, most = headline.values, float(np.max(headline.values))
     else:
         values, most = path, float(path[-1])
         footer.headline(f"{values[step]:.1f} m", "driven")
     footer.curve(time, values / max(most, 1e-6), step)
+
+
+def draw_part_words(recording: MissionData, frame: MissionFrame, footer: Footer) -> None:
+    """Draw what parts say of a frame, beside the number of targets."""
+    words = [each.footer(recording, frame) for each in recording.parts.values()]
+    said = ", ".join(each for each in words if each)
+    if said:
+        footer.text(EDGE + (110 if len(recording.targets) else 0), 56, said)

@@ -1,7 +1,6 @@
 """The legend of an exploration animation: an entry for everything that its frames show."""
 
 from jaxplore.report.drawing.colours import (
-    ALARM,
     CLOSED,
     CLOSED_SHARE,
     FREE,
@@ -16,19 +15,17 @@ from jaxplore.report.drawing.footer import Entry
 from jaxplore.report.drawing.palette import (
     HEAT,
     HIDDEN_WALL,
-    INK,
     LIDAR_RAY,
     MAX_HEAT,
-    PALE,
     PLAN,
     REFERENCE,
     ROBOT,
     STRONG,
     TRAIL,
+    Colour,
 )
 from jaxplore.report.exploration.data import ExplorationData
-from jaxplore.report.exploration.mission import MissionData, ObjectData
-from jaxplore.report.exploration.objects import class_colours, is_false
+from jaxplore.report.exploration.mission import MissionData
 from jaxplore.report.exploration.progress import is_known_map
 
 
@@ -59,23 +56,14 @@ def mission_entries(recording: MissionData) -> tuple[Entry, ...]:
     entries: list[Entry] = []
     if len(recording.targets):
         entries += [Entry("target", TARGET, "star"), Entry("target found", TARGET, "found")]
-    entries += _object_entries(recording.objects)
-    if recording.anomalies is not None and len(recording.anomalies.boxes):
-        entries += [Entry("anomaly", ALARM, "star"), Entry("reported", ALARM, "found")]
+    for each in recording.parts.values():
+        entries += each.legend()
     return tuple(entries)
 
 
-def _object_entries(objects: ObjectData | None) -> tuple[Entry, ...]:
-    """Return the entries of objects and of the classes that they may be taken for."""
-    if objects is None:
-        return ()
-    colours = class_colours(objects)
-    entries = [
-        Entry(name, colour, "disc", INK)
-        for name, colour in zip(objects.classes, colours, strict=True)
-    ]
-    if (objects.label != objects.target).any():
-        entries.insert(0, Entry("other object", PALE))
-    if is_false(objects).any():
-        entries.append(Entry("false report", ALARM, "cross"))
-    return tuple(entries)
+def mission_colours(recording: MissionData) -> list[Colour]:
+    """Return the colours of targets and of parts, as far as a run has them."""
+    colours: list[Colour] = [TARGET] if len(recording.targets) else []
+    for each in recording.parts.values():
+        colours += [colour for colour in each.colours() if colour not in colours]
+    return colours

@@ -5,16 +5,15 @@ import dataclasses
 from jaxplore.report._numbers import numbers, percent, text
 from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.exploration.mission_metrics import (
-    MISSION_COLUMNS,
-    MISSION_CURVES,
+    TARGET_COLUMNS,
+    TARGET_CURVE,
     MissionMetrics,
 )
-from jaxplore.report.exploration.wheels import WHEEL_COLUMNS, WheelMetrics
 from jaxplore.report.metrics import Column, Curve
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ExplorationMetrics(MissionMetrics, WheelMetrics):
+class ExplorationMetrics(MissionMetrics):
     """Metrics of an exploration run.
 
     Args:
@@ -75,7 +74,7 @@ class ExplorationMetrics(MissionMetrics, WheelMetrics):
             square of side `2 * STALL_RADIUS` along the world's axes [s].
         coverage_curve: "time" [s], "coverage", "entropy" [nat], "path" [m] and "unknown" every
             half second, the end included; where they exist also "targets", found until then, and
-            "idleness", its mean over the reachable cells [s].
+            the curves of parts.
     """
 
     coverage: float
@@ -134,7 +133,7 @@ class ExplorationMetrics(MissionMetrics, WheelMetrics):
             104.0,
             applies=lambda each: not each.is_map_known,
         ),
-        *MISSION_CURVES,
+        TARGET_CURVE,
     )
     columns = (
         Column.num_finished(),
@@ -145,12 +144,11 @@ class ExplorationMetrics(MissionMetrics, WheelMetrics):
         # Without a path there is no information per metre, and it counts as 0.
         Column.quartiles("information_per_metre", "nat/m", missing=0.0),
         Column.quartiles("final_unknown", "unknown [%]", scale=100.0),
-        *MISSION_COLUMNS,
+        *TARGET_COLUMNS,
         Column.total("collisions", "collisions"),
         Column.total(
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
         ),
-        *WHEEL_COLUMNS,
         Column.total("fault_steps", "faults [steps]", applies=lambda total: total > 0),
         Column.total("stopped_steps", "stopped [steps]", applies=lambda total: total > 0),
         Column.least("minimum_clearance", "clearance [m]"),
@@ -198,7 +196,6 @@ class ExplorationMetrics(MissionMetrics, WheelMetrics):
                 if self.untraversable_steps
                 else []
             ),
-            *self.wheel_rows(),
             *self._localisation_rows(),
             *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
             ("longest stall", f"{self.longest_stall:.2f} s"),

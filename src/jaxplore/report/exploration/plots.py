@@ -16,7 +16,6 @@ from jaxplore.report.drawing.colours import (
     shade,
 )
 from jaxplore.report.drawing.series import style_count
-from jaxplore.report.exploration.anomalies import add_anomalies
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.localisation import add_estimate
@@ -27,7 +26,6 @@ from jaxplore.report.exploration.map_axes import (
     show_cells,
     true_outline,
 )
-from jaxplore.report.exploration.objects import add_objects
 from jaxplore.report.exploration.overlays import (
     add_footprint,
     add_ground,
@@ -108,9 +106,9 @@ def map_figure(recording: ExplorationData) -> "Figure":
         axes.plot([], [], color=shade(MISSED), linewidth=3.0, label=label)
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
-    add_objects(axes, recording.objects, window)
     add_moving_obstacles(axes, recording, window)
-    add_anomalies(axes, recording.anomalies, window)
+    for each in recording.parts.values():
+        each.add_to_map(axes, recording, window)
     add_footprint(axes, recording, window)
     add_estimate(axes, recording, window)
     handles, labels = axes.get_legend_handles_labels()

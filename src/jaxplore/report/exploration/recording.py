@@ -13,7 +13,6 @@ from jaxplore.maps.files.ros import write_map
 from jaxplore.report.exploration.animation import compute_palette, frame_image, painter
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.evaluation import compute_metrics
-from jaxplore.report.exploration.idleness import idleness_figure
 from jaxplore.report.exploration.members import members_figure
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.plots import coverage_figure, map_figure
@@ -34,8 +33,7 @@ class ExplorationRecording(ExplorationData, Recording):
 
     Its folder has `map.png`, the explored map for ROS's `map_server` (`explored.yaml` and
     `explored.pgm`) and `exploration.gif`; `coverage.png` unless the map was known in
-    advance; `members.png` if the controller has several members; `idleness.png` if the robot
-    patrols and does not search for targets.
+    advance; `members.png` if the controller has several members; and the figures of parts.
     """
 
     animation = "exploration.gif"
@@ -65,9 +63,7 @@ class ExplorationRecording(ExplorationData, Recording):
             draw["coverage"] = coverage_figure
         if self.records.members is not None:
             draw["members"] = members_figure
-        if self.idleness is not None and not len(self.targets):
-            draw["idleness"] = idleness_figure
-        return {name: partial(each, self) for name, each in draw.items()}
+        return {**{name: partial(each, self) for name, each in draw.items()}, **self.part_figures()}
 
     def files(self) -> dict[str, Callable[[Path], None]]:
         """Return a function that writes the explored map as a ROS map of three values: occupied,
@@ -88,35 +84,27 @@ class ExplorationRecording(ExplorationData, Recording):
         `start` and `state_names`.
 
         Where they exist: `stop` of a robot with a guard; each field of `Members` as
-        `members_NAME`, one row per step, with `member_names`; `targets` (M, 2) [m]; `idleness`
-        (H, W) [s], infinite where nothing was seen; `elevation` (H, W) [m] and `traversable` (H, W)
-        of the ground; `mover_radii` (M,) [m]; `footprint` (4, 2) corners of a rectangular robot
-        [m]; `objects` (N, 2) [m] with their true `object_labels` (N,), `class_names` (C,), and at
-        the end `object_classes` (N, C), the probability of each class; of a robot that localised
-        itself, `true_poses` and `estimated_poses` (N, 3) of its stored scans and the map
-        `reference` (H, W) of the same scans at the true poses.
+        `members_NAME`, one row per step, with `member_names`; each field of the record of a part
+        under its name, and `PartReport.arrays`; `targets` (M, 2) [m]; `elevation` (H, W) [m] and
+        `traversable` (H, W) of the ground; `mover_radii` (M,) [m]; `footprint` (4, 2) corners of a
+        rectangular robot [m]; of a robot that localised itself, `true_poses` and `estimated_poses`
+        (N, 3) of its stored scans and the map `reference` (H, W) of the same scans at the true
+        poses.
         """
         time, *_ = progress(self)
         steps = {name: rows for name, rows in self.records._asdict().items() if rows is not None}
         members = steps.pop("members", None)
+        steps |= self.part_arrays(steps.pop("parts"))
         if members is not None:
             steps |= {f"members_{name}": rows for name, rows in members._asdict().items()}
             steps["member_names"] = np.asarray(self.member_names, np.str_)
         optional = {
             "targets": self.targets,
-            "idleness": self.idleness,
             "elevation": self.elevation,
             "traversable": self.traversable,
             "mover_radii": self.mover_radii,
             "footprint": self.footprint,
         }
-        if self.objects is not None:
-            optional |= {
-                "objects": self.objects.place,
-                "object_labels": self.objects.label,
-                "object_classes": self.objects.probability,
-                "class_names": np.asarray(self.objects.classes, np.str_),
-            }
         if self.localisation is not None:
             optional |= {
                 "true_poses": self.localisation.true_poses,

@@ -9,7 +9,6 @@ from PIL import Image, ImageDraw
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 from jaxplore.report.drawing.colours import (
-    ALARM,
     FREE,
     SERIES,
     TARGET,
@@ -30,10 +29,8 @@ from jaxplore.report.drawing.palette import (
 )
 from jaxplore.report.drawing.picture import MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, WIDTH
 from jaxplore.report.drawing.shapes import LEAST_RADIUS, draw_line, draw_targets
-from jaxplore.report.exploration.anomalies import find_report_times, middles
-from jaxplore.report.exploration.footer import draw_mission
-from jaxplore.report.exploration.legend import mission_entries
-from jaxplore.report.exploration.objects import draw_objects, mission_colours
+from jaxplore.report.exploration.footer import draw_mission, draw_part_words
+from jaxplore.report.exploration.legend import mission_colours, mission_entries
 from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.fleet.data import FleetData, FleetFrame
@@ -170,11 +167,8 @@ def _draw_robots(canvas: Canvas, frame: FleetFrame, draw: ImageDraw.ImageDraw) -
     for i, j in np.argwhere(np.triu(frame.links)):
         draw_line(canvas, draw, frame.positions[[i, j]], LINK, 1.0)
     draw_targets(canvas, draw, data.targets, frame.is_found, TARGET)
-    if data.objects is not None:
-        draw_objects(canvas, draw, data.objects, frame)
-    if data.anomalies is not None:
-        is_reported = find_report_times(data.anomalies) <= frame.time
-        draw_targets(canvas, draw, middles(data.anomalies), is_reported, ALARM)
+    for each in data.parts.values():
+        each.draw(canvas, draw, data, frame)
     for number, plan in enumerate(frame.plans):
         draw_line(canvas, draw, plan, robot_colour(number), 3.0)
     bodies = zip(frame.positions, frame.headings, data.radii.tolist(), strict=True)
@@ -218,5 +212,6 @@ def _draw_footer(
     footer.text(84, 38, f"{canvas.lengths[step]:.1f} m")
     if len(data.targets):
         footer.text(EDGE, 56, f"targets {int(np.sum(frame.is_found))} of {len(data.targets)}")
+    draw_part_words(data, frame, footer)
     footer.scale_bar(canvas.scale / SUPERSAMPLING)
     footer.legend()

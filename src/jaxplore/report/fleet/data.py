@@ -33,13 +33,8 @@ class FleetRecord(NamedTuple):
         sent: size of all messages with maps and ways in the step [bytes].
         links: number of pairs of robots that heard each other.
         targets_seen: number of targets that some robot had found; None without targets.
-        mean_idleness: mean over the reachable cells of the time since some robot saw each, or since
-            the start [s]; None without an idleness map.
-        worst_idleness: the greatest of these times [s].
-        load_transfer: (N,) load transfer of each vehicle, as in `ExplorationRecord`; None without a
-            chassis, as are the two below.
-        wheel_travel: (N,) how far the ground moves a wheel, likewise.
-        is_tipped: (N,) whether each vehicle has tipped over.
+        parts: record of each part of the robots that has one, by its name: of each robot (N,), or
+            of what all know together.
     """
 
     state: StateVector
@@ -54,12 +49,8 @@ class FleetRecord(NamedTuple):
     is_finite: Flag
     sent: Scalar
     links: Count
+    parts: dict[str, Any]
     targets_seen: Count | None = None
-    mean_idleness: Scalar | None = None
-    worst_idleness: Scalar | None = None
-    load_transfer: Float[Array, " N"] | None = None
-    wheel_travel: Float[Array, " N"] | None = None
-    is_tipped: Bool[Array, " N"] | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

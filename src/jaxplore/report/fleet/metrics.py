@@ -8,21 +8,20 @@ import numpy as np
 from jaxplore.report._numbers import finite, percent, text
 from jaxplore.report.coverage_levels import LEVELS, describe_levels, reach_levels
 from jaxplore.report.exploration.mission_metrics import (
-    MISSION_COLUMNS,
-    MISSION_CURVES,
+    TARGET_COLUMNS,
+    TARGET_CURVE,
     MissionMetrics,
     mission_curves,
     mission_metrics,
 )
 from jaxplore.report.exploration.progress import is_known_map
-from jaxplore.report.exploration.wheels import WHEEL_COLUMNS, WheelMetrics, wheel_metrics
 from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.metrics import Column, Curve, thin_series
 from jaxplore.report.motion import episodes
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FleetMetrics(MissionMetrics, WheelMetrics):
+class FleetMetrics(MissionMetrics):
     """Metrics of an exploration by a fleet.
 
     Args:
@@ -77,13 +76,12 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
             "last_target_at", "last target [s]", applies=lambda spread: spread[0] < math.inf
         ),
         Column.quartiles("path_length", "path [m]"),
-        *MISSION_COLUMNS,
+        *TARGET_COLUMNS,
         Column.total("collisions", "collisions"),
         Column.total("contacts", "contacts"),
         Column.total(
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
         ),
-        *WHEEL_COLUMNS,
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("exchanged", "exchanged [MB]", digits=2, scale=1e-6),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
@@ -91,7 +89,7 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
     plotted = (
         Curve("coverage", "coverage [%]", 100.0, 100.0, applies=lambda each: not each.is_map_known),
         Curve("path", "path of all [m]"),
-        *MISSION_CURVES,
+        TARGET_CURVE,
     )
     levels = LEVELS
 
@@ -114,7 +112,6 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
                 if self.untraversable_steps
                 else []
             ),
-            *self.wheel_rows(),
             ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
             ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
             *self.last_rows(),
@@ -157,7 +154,6 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         linked=float(np.mean(records.links) / pairs) if pairs and data.num_steps else None,
         untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
         **mission_metrics(data),
-        **wheel_metrics(records, period),
         is_map_known=is_known_map(data),
         least_coverage=float(data.coverages[:, -1].min()),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,

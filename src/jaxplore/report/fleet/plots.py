@@ -8,14 +8,12 @@ from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.drawing.colours import belief_colours
 from jaxplore.report.drawing.palette import INK
 from jaxplore.report.drawing.series import line_style, style_time
-from jaxplore.report.exploration.anomalies import add_anomalies
 from jaxplore.report.exploration.map_axes import (
     add_outline,
     map_figure_axes,
     map_inches,
     show_cells,
 )
-from jaxplore.report.exploration.objects import add_objects
 from jaxplore.report.exploration.overlays import add_ground, add_targets
 from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.exploration.window import Window
@@ -52,8 +50,8 @@ def map_figure(data: FleetData) -> "Figure":
         axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
     add_ground(axes, data, window)
     add_targets(axes, data, window)
-    add_objects(axes, data.objects, window)
-    add_anomalies(axes, data.anomalies, window)
+    for each in data.parts.values():
+        each.add_to_map(axes, data, window)
     add_outline(axes, data, window)
     columns = 4 if width > 5.0 else 2
     figure.legend(loc="outside lower center", ncols=columns, frameon=False, fontsize=9)

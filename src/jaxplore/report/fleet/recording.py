@@ -10,7 +10,6 @@ import numpy as np
 from PIL import Image
 
 from jaxplore.maps.files.ros import write_map
-from jaxplore.report.exploration.idleness import idleness_figure
 from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.fleet.animation import compute_palette, frame_image, painter
 from jaxplore.report.fleet.data import FleetData, FleetFrame
@@ -30,8 +29,8 @@ class FleetRecording(FleetData, Recording):
     """A finished exploration by a fleet.
 
     Its folder has `map.png`, `fleet.gif`, and what the robots know together for ROS's `map_server`
-    (`explored.yaml` and `explored.pgm`); `coverage.png` unless the map was known in advance;
-    `idleness.png` if the robots patrol and do not search for targets.
+    (`explored.yaml` and `explored.pgm`); `coverage.png` unless the map was known in advance; and
+    the figures of parts.
     """
 
     animation = "fleet.gif"
@@ -58,9 +57,7 @@ class FleetRecording(FleetData, Recording):
         # As of one robot: each figure shows what the task is judged by.
         if not is_known_map(self):
             draw["coverage"] = coverage_figure
-        if self.idleness is not None and not len(self.targets):
-            draw["idleness"] = idleness_figure
-        return {name: partial(each, self) for name, each in draw.items()}
+        return {**{name: partial(each, self) for name, each in draw.items()}, **self.part_figures()}
 
     def files(self) -> dict[str, Callable[[Path], None]]:
         """Return a function that writes the explored map as a ROS map of three values."""
@@ -76,10 +73,14 @@ class FleetRecording(FleetData, Recording):
         Each field of `FleetRecord` under its name, one row per step; `time` (steps + 1,) [s],
         `positions` (N, steps + 1, 2) [m] of each robot, `world` and `belief` (H, W) probabilities,
         `beliefs` (N, H, W) in 256 levels, `reachable` (H, W), `origin`, `resolution`,
-        `control_period`, `start`, `state_names`, `radii` (N,) [m] and `targets` (M, 2) [m].
+        `control_period`, `start`, `state_names`, `radii` (N,) [m] and `targets` (M, 2) [m]; each
+        field of the record of a part, and `PartReport.arrays`.
         """
+        steps = super().arrays()
+        del steps["parts"]
         return {
-            **super().arrays(),
+            **steps,
+            **self.part_arrays(self.records.parts),
             "positions": self.trails,
             "world": self.world,
             "belief": self.belief,

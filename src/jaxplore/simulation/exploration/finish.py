@@ -99,5 +99,5 @@ def default_objective(num_targets: int, goal: Position | None, target: str) -> s
     if num_targets:
         return "last_target_at + 100*collisions"
     if goal is None and target == NEVER:
-        return "mean_idleness + 100*collisions"
+        return "watch.mean_idleness + 100*collisions"
     return "finished_at + 100*collisions"

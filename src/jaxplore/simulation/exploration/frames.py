@@ -1,6 +1,6 @@
 """Arrays of the frames of an exploration run."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -12,9 +12,9 @@ from jaxplore.belief.belief import Belief
 from jaxplore.control.base import SampledPlan
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.parts.recognition import ObjectClasses, Recognition
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
+from jaxplore.simulation.exploration.part_truth import PartTruth
 
 
 def frame_arrays(
@@ -26,12 +26,13 @@ def frame_arrays(
     scan: Scan,
     movers: Float[Array, "M 3"] | None,
     plan: SampledPlan | None,
+    truths: Sequence[PartTruth],
 ) -> dict[str, Any]:
     """Return the arrays of an `ExplorationFrame`, by field.
 
     The scan is from the robot's true pose. `is_seen` (M,) says which targets have been found.
     `movers` are (x, y, radius) of each moving obstacle [m]; None without any. Without `plan`, none
-    is shown.
+    is shown. `truths` are what is true of the robot's parts.
     """
     pose = robot.pose(state)
     angles = pose[2] + jnp.asarray(sensor.beam_angles)
@@ -54,7 +55,7 @@ def frame_arrays(
         "reference": nowhere,
         "movers": nowhere if movers is None else movers[:, :2],
         "is_found": is_seen,
-        "classes": object_classes(belief.parts.get(Recognition.name)),
+        "parts": part_frames(truths, belief.parts),
         "tracks": tracks,
         "terms": {},
         "sample_terms": {},
@@ -72,11 +73,10 @@ def frame_arrays(
     }
 
 
-def object_classes(objects: ObjectClasses | None) -> Float[Array, "N C"]:
-    """Return the probability of each class of each object as a frame has it; (0, 0) of none."""
-    if objects is None:
-        return jnp.zeros((0, 0))
-    return jnp.where(objects.is_known[:, None], objects.probability, jnp.nan)
+def part_frames(truths: Sequence[PartTruth], known: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arrays that a frame has of parts, by name; `known` are the states of parts."""
+    frames = {each.name: each.frame(known[each.name]) for each in truths if each.name in known}
+    return {name: each for name, each in frames.items() if each is not None}
 
 
 def crop_frame(arrays: Mapping[str, Any], world: OccupancyGrid, stride: int) -> dict[str, Any]:

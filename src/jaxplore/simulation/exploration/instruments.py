@@ -9,14 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Key
-from jaxplore.parts.recognition import Recognition
 from jaxplore.robot.clock import when_due
 from jaxplore.robot.robot import Measurement, Robot, Told
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.mount import ScanMotion
+from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.rates import Rates
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.exploration.true_objects import TrueObjects
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.state import Moment
 
@@ -24,13 +23,13 @@ from jaxplore.simulation.state import Moment
 class Instruments(NamedTuple):
     """Turns the truth into what a robot is given of it.
 
-    `objects` are those that it recognises; None without any. `tracking_noise` are standard
-    deviations of the positions [m] and velocities [m/s] of moving obstacles of which it is told.
+    `truths` are what is true of its parts. `tracking_noise` are standard deviations of the
+    positions [m] and velocities [m/s] of moving obstacles of which it is told.
     """
 
     onboard: Robot
     rates: Rates
-    objects: TrueObjects | None
+    truths: tuple[PartTruth, ...]
     tracking_noise: Float[Array, "2"]
 
     def measure(
@@ -48,9 +47,8 @@ class Instruments(NamedTuple):
         and mapped at the observed one, so they distort the map. `is_told` says whether a robot that
         finds no moving obstacles itself is told of them; static.
         """
-        robot, rates, objects = self.onboard, self.rates, self.objects
+        robot, rates = self.onboard, self.rates
         pose, sensors = robot.model.pose(state.robot), robot.sensors
-        recognition = robot.perception.part(Recognition)
         is_told = is_told and robot.perception.tracker is None
 
         def take() -> tuple[Array, Array, Told | None, dict[str, Any]]:
@@ -58,8 +56,11 @@ class Instruments(NamedTuple):
             ranges, is_return = (jnp.concatenate(each) for each in zip(*scans, strict=True))
             told = truth.tell(sensors, pose, self.tracking_noise, key) if is_told else None
             looks = {}
-            if objects is not None and recognition is not None:
-                looks[Recognition.name] = objects.look(recognition, truth, sensors[0], pose, key)
+            for each in self.truths:
+                part = robot.perception.part_named(each.name)
+                own = state.truths.get(each.name)
+                looks[each.name] = each.measure(part, own, truth, sensors, pose, key)
+            looks = {name: look for name, look in looks.items() if look is not None}
             return ranges, is_return, told, looks
 
         is_due = rates.is_scan_due(moment.step)

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,20 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Count, Flag, GridMask, GridValues, Pose
+from jaxplore._types import Flag, GridMask, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.geometry.motion import compose
 from jaxplore.localisation.localiser import LocaliserState
 from jaxplore.localisation.thinning import halve
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.parts.recognition import Recognition
 from jaxplore.report.exploration.data import LocalisationData, MapProgress
 from jaxplore.robot.clock import when_due
 from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import Measurement, RobotState, Sight
 from jaxplore.sensing.base import update_grid
 from jaxplore.sensing.beams import Scan
+from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
 
 
@@ -105,7 +105,7 @@ class Judged(NamedTuple):
     ) -> "Judged":
         """Return what is said before the first scan; `track` is None if the pose is known."""
         sums = MapSums.of(belief.grid.probability, reachable)
-        progress = map_progress(sums, belief, reachable, jnp.zeros(()))
+        progress = map_progress(sums, belief.grid)
         return cls(sums, progress, jnp.zeros(num_targets, bool), track)
 
 
@@ -114,10 +114,12 @@ class Judge(NamedTuple):
 
     A scan changes a window of the map. `count_before` adds the window up before the robot maps its
     scans, and `judge` after that. `reachable` (H, W) are the cells that count for the progress.
+    `truths` are what is true of the robot's parts.
     """
 
     perception: Perception
     reachable: GridMask
+    truths: tuple[PartTruth, ...]
 
     def count_window(self, grid: OccupancyGrid, pose: Pose) -> MapSums:
         """Add up the window of a map that scans from a pose [m, m, rad] may change."""
@@ -147,6 +149,7 @@ class Judge(NamedTuple):
     def judge(
         self,
         judged: Judged,
+        truths: dict[str, Any],
         before: MapSums,
         own: RobotState,
         measured: Measurement,
@@ -157,21 +160,20 @@ class Judge(NamedTuple):
         pose: Pose,
         place: PoseKnowledge | None,
         find: Callable[[], Bool[Array, " M"]],
-        target_class: Count | None,
-    ) -> Judged:
-        """Return what is said after the scans of a period.
+    ) -> tuple[Judged, dict[str, Any]]:
+        """Return what is said after the scans of a period, and the states of the truths of parts.
 
         `before` are the sums of the window before the scans. `own` is what the robot knows after
         them. `place` is what it knew of its pose before them; None if it knows its pose. `pose` is
         its true pose [m, m, rad]. `is_mapped` says whether the scans are in the map. `find` returns
-        whether each target is in sight (M,), and one in sight is found. For a robot that recognises
-        objects, `target_class` is the class of the targets; those that it has reported are found.
+        whether each target is in sight (M,), and one in sight is found, unless a part finds them
+        another way.
         """
 
         assert measured.time is not None
         time = measured.time
 
-        def add(former: Judged) -> tuple[Judged]:
+        def add(former: Judged, states: dict[str, Any]) -> tuple[Judged, dict[str, Any]]:
             sums, _, is_seen, track = former
             if place is None or own.place is None or track is None:
                 sums = sums.update(before, self.count_window(own.belief.grid, sight.pose))
@@ -179,16 +181,37 @@ class Judge(NamedTuple):
                 track = track.add_scans(place, own.place, pose)
                 reference, sums = self._refer(track, sums, own, measured.scans, pose, is_mapped)
                 track = track._replace(reference=reference)
-            objects = own.belief.parts.get(Recognition.name)
-            if target_class is not None and objects is not None:
-                found = objects.reported_at[: is_seen.shape[0], target_class]
-                is_seen = jnp.isfinite(found)
-            elif is_seen.shape[0] > 0:
-                is_seen = is_seen | find()
-            progress = map_progress(sums, own.belief, self.reachable, time)
-            return (Judged(sums, progress, is_seen, track),)
+            if is_seen.shape[0] > 0:
+                found = self._find_targets(own.belief)
+                is_seen = is_seen | find() if found is None else found
+            progress = map_progress(sums, own.belief.grid)
+            said = self.judge_parts(states, own.belief, sums, time)
+            return Judged(sums, progress, is_seen, track), said
 
-        return when_due(is_due, sight.is_taken, add, (judged,))[0]
+        return when_due(is_due, sight.is_taken, add, (judged, truths))
+
+    def judge_parts(
+        self, states: dict[str, Any], belief: Belief, sums: MapSums, time: Scalar
+    ) -> dict[str, Any]:
+        """Return the states of the truths of parts after scans; `sums` are those of the map."""
+        number = sums.reachable.astype(jnp.float32)
+        said = {
+            each.name: each.judge(
+                *(states[each.name], belief.parts[each.name], self.reachable, number, time)
+            )
+            for each in self.truths
+            if each.is_judging
+        }
+        return {**states, **said}
+
+    def _find_targets(self, belief: Belief) -> Bool[Array, " M"] | None:
+        """Return which targets a part has found (M,); None if none looks for them."""
+        for each in self.truths:
+            part, known = self.perception.part_named(each.name), belief.parts.get(each.name)
+            found = None if known is None else each.find_targets(part, known)
+            if found is not None:
+                return found
+        return None
 
     def _refer(
         self,

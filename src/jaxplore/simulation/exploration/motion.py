@@ -1,15 +1,17 @@
 """The motion of the robot in the true world during a control period."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import jax.numpy as jnp
 
 from jaxplore._types import ControlVector, Count, Flag, Pose, Scalar
 from jaxplore.control.base import Info
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.geometry.chassis import Chassis
 from jaxplore.report.exploration.data import ExplorationRecord
+from jaxplore.simulation.exploration.part_truth import Drive, PartTruth
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_world import TrueWorld
-from jaxplore.simulation.exploration.wheels import Wheels, drive_on_wheels, stability, update_wheels
 
 
 def move(
@@ -23,22 +25,26 @@ def move(
     info: Info,
     is_faulty: Flag,
     stop: Count | None,
-    chassis: Chassis | None,
-) -> tuple[ExplorationRecord, Wheels | None]:
-    """Move the robot, unless it would touch something solid; return the record and the wheels.
+    truths: Sequence[PartTruth],
+) -> tuple[ExplorationRecord, dict[str, Any]]:
+    """Move the robot, unless it would touch something solid.
+
+    Return the record, and the states of the truths of parts.
 
     `state` is the state of the task before the step, `truth` the world at the end of the step.
     `reach` cells are examined in each direction, see `clearance_reach`. `stop` is why the guard
-    stops the robot; None without a guard. `chassis` is None for a robot that cannot tip over.
+    stops the robot; None without a guard. `truths` are what is true of its parts.
     """
     moved = robot.step(state.robot, control, period)
-    if state.wheels is not None:
-        moved = drive_on_wheels(state.wheels, robot, state.robot, moved)
-    stopped, is_collision = truth.check_move(robot, state.robot, moved, reach)
-    wheels = state.wheels
-    if wheels is not None and chassis is not None:
-        used = stability(chassis, truth, robot, stopped, control)
-        wheels = update_wheels(wheels, used, period)
+    drive = Drive(robot, state.robot, moved, control, truth, period)
+    for each in truths:
+        drive = drive._replace(after=each.drive(state.truths.get(each.name), drive))
+    stopped, is_collision = truth.check_move(robot, state.robot, drive.after, reach)
+    drive, states, records = drive._replace(after=stopped), dict(state.truths), {}
+    for each in truths:
+        if each.name in states:
+            states[each.name] = each.update(states[each.name], drive)
+            records[each.name] = each.record(states[each.name])
     record = ExplorationRecord(
         state=stopped,
         control=control,
@@ -52,10 +58,10 @@ def move(
         members=info.members,
         targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
         stop=stop,
-        **({} if wheels is None else wheels.record_fields()),
+        parts={name: each for name, each in records.items() if each is not None},
         **_error(state, robot.pose(state.robot)),
     )
-    return record, wheels
+    return record, states
 
 
 def _error(state: ExplorationState, pose: Pose) -> dict[str, Scalar]:

@@ -5,10 +5,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxplore._types import Count, GridMask, GridValues, Scalar
-from jaxplore.belief.belief import Belief
 from jaxplore.belief.zones import UNKNOWN, entropy_proxy
-from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, entropy
-from jaxplore.parts.watch import IdlenessMap
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid, entropy
 from jaxplore.report.exploration.data import MapProgress
 
 
@@ -67,37 +65,16 @@ class MapSums(NamedTuple):
         )
 
 
-def map_progress(sums: MapSums, belief: Belief, reachable: GridMask, time: Scalar) -> MapProgress:
-    """Compute coverage, entropy, the shares of unknown cells and the idleness.
-
-    `time` is the time since the start, an upper bound of the idleness [s].
-    """
+def map_progress(sums: MapSums, grid: OccupancyGrid) -> MapProgress:
+    """Compute coverage, entropy and the shares of unknown cells of a map."""
 
     def share(total: Scalar) -> Scalar:
         return total / sums.reachable.astype(jnp.float32)
 
-    mean, worst = jnp.zeros(()), jnp.zeros(())
-    idleness = belief.parts.get(IdlenessMap.name)
-    if idleness is not None:
-        number = sums.reachable.astype(jnp.float32)
-        mean, worst = mean_and_worst(idleness, reachable, number, time)
-    height, width = (jnp.asarray(side, jnp.float32) for side in belief.grid.sides)
+    height, width = (jnp.asarray(side, jnp.float32) for side in grid.sides)
     return MapProgress(
         coverage=share(sums.free.astype(jnp.float32)),
         entropy=sums.entropy,
         unknown=share(sums.unknown.astype(jnp.float32)),
         unknown_map=sums.unknown_map.astype(jnp.float32) / (height * width),
-        mean_idleness=mean,
-        worst_idleness=worst,
     )
-
-
-def mean_and_worst(
-    idleness: GridValues, reachable: GridMask, number: Scalar, time: Scalar
-) -> tuple[Scalar, Scalar]:
-    """Return the mean and the greatest idleness of the `number` reachable cells [s].
-
-    That of a cell that was never seen is infinite; here it counts from the start, for `time` [s].
-    """
-    idle = jnp.where(reachable, jnp.minimum(idleness, time), 0.0)
-    return jnp.sum(idle) / number, jnp.max(idle)

@@ -41,15 +41,12 @@ from jaxplore.dynamics.goal_check import (
     GoalCheck,
     Motion,
 )
-from jaxplore.geometry.chassis import Chassis
 from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
-from jaxplore.maps.world import LabelledObject
-from jaxplore.parts.recognition import Recognition
-from jaxplore.parts.watch import IdlenessMap
+from jaxplore.parts.truths import as_truths
 from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -79,13 +76,12 @@ from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
-from jaxplore.simulation.exploration.planted_anomalies import PlantedAnomalies
+from jaxplore.simulation.exploration.part_truth import PartTruth, Site
 from jaxplore.simulation.exploration.progress import MapSums
 from jaxplore.simulation.exploration.rates import Rates
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
-from jaxplore.simulation.exploration.recording import make_recording
+from jaxplore.simulation.exploration.recording import make_recording, part_reports
 from jaxplore.simulation.exploration.state import ExplorationState, Sensed, initial_state
-from jaxplore.simulation.exploration.true_objects import TrueObjects, true_objects
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
@@ -129,9 +125,10 @@ class ExplorationScenario(Scenario):
     count as untraversable.
 
     The robot knows the ground of a terrain map, but not the obstacles on it. Untraversable cells do
-    not stop the robot: it can enter them, which is recorded. A robot with a chassis loses half of
-    its displacement while a wheel hangs in the air. It tips over where a pair of wheels is without
-    load for 0.2 s, on a slope or in a fast curve, and the run ends.
+    not stop the robot: it can enter them, which is recorded.
+
+    What is true of the robot's parts, and is not known to it, are `truths`, such as
+    `jaxplore.parts.Wheels` for a vehicle that can tip over. A part has one by default.
 
     Args:
         world: the true map, hidden from the robot; with the ground if it is a terrain map.
@@ -165,14 +162,12 @@ class ExplorationScenario(Scenario):
         hover_time: time that is simulated after the end [s].
         faults: injected faults; none when absent.
         targets: (M, 2) positions of the targets to find [m]; none when absent.
-        objects: objects of other classes, for a perception with a `Recognition`; none when absent.
         moving_obstacles: true moving obstacles; none when absent. The robot
             finds them in the scans (`ObstacleTracker`). Their start is drawn from the run's key.
         tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
             told of the obstacles in sight. When absent it has a tracker instead, but on a known
             ground, whose hills return beams like what moves, it is told with (0.05, 0.1).
-        planted: what differs from the prior map, to judge reports of anomalies; none when absent.
-        chassis: wheels and centre of mass of the robot; without it the robot cannot tip over.
+        truths: what is true of the robot's parts (`jaxplore.parts`).
         localisation: how the robot finds its pose, from an odometry with errors and its scans; it
             knows its pose when absent. Coverage is then that of the map that its scans give at
             their true poses.
@@ -185,8 +180,8 @@ class ExplorationScenario(Scenario):
             that the robot touches it; a rate that is not positive, above the control rate or no
             whole fraction of it; a start or all targets in keep-out areas; a target coverage
             outside (0, 1]; a prior or walls of another shape; a goal off the map, in a wall, or
-            where the robot cannot get from its start; a target or an object off the map or in a
-            wall; an object of an unknown class.
+            where the robot cannot get from its start; a target off the map or in a wall; a truth of
+            a part that the robot does not have, or that cannot be in this world.
     """
 
     frame_type = ExplorationFrame
@@ -212,11 +207,9 @@ class ExplorationScenario(Scenario):
     hover_steps: Count
     faults: Faults | None
     targets: Float[Array, "M 2"]
-    objects: TrueObjects | None
     moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
-    planted: PlantedAnomalies | None
-    chassis: Chassis | None
+    truths: tuple[PartTruth, ...]
     localisation: Localisation | None
     counts_walls: bool = eqx.field(static=True)
     clearance_reach: int = eqx.field(static=True)
@@ -246,11 +239,9 @@ class ExplorationScenario(Scenario):
         hover_time: float = 0.0,
         faults: Faults | None = None,
         targets: Rows | None = None,
-        objects: Sequence[LabelledObject] | None = None,
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector | None = None,
-        planted: PlantedAnomalies | None = None,
-        chassis: Chassis | None = None,
+        truths: Sequence[PartTruth] = (),
         localisation: Localisation | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
@@ -261,8 +252,6 @@ class ExplorationScenario(Scenario):
         _kinds.instance("prior", prior, OccupancyGrid, may_be_none=True)
         _kinds.instance("faults", faults, Faults, may_be_none=True)
         _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
-        _kinds.instance("planted", planted, PlantedAnomalies, may_be_none=True)
-        _kinds.instance("chassis", chassis, Chassis, may_be_none=True)
         _kinds.instance("localisation", localisation, Localisation, may_be_none=True)
         _kinds.instance("datum", datum, Datum)
         _kinds.instance("target", target, str, may_be_none=True)
@@ -270,7 +259,7 @@ class ExplorationScenario(Scenario):
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
         self.placed = HostOnly(datum)
         world, ground = checks.grid_and_ground(world)
-        self.robot, self.sensors, self.chassis = robot, all_sensors, chassis
+        self.robot, self.sensors = robot, all_sensors
         self.localisation = localisation
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
         is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
@@ -312,9 +301,8 @@ class ExplorationScenario(Scenario):
         check_carrying(self.faults, world, reachable, datum)
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
-        self.objects = true_objects(
-            self.targets, objects, perception.part(Recognition), world, datum
-        )
+        site = Site(world, robot, perception, pose, self.targets, np.asarray(reachable), datum)
+        self.truths = tuple(each.bind(site) for each in as_truths(truths, perception.parts))
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -325,7 +313,7 @@ class ExplorationScenario(Scenario):
         chosen = choose_target(
             target,
             has_coverage=target_coverage is not None,
-            is_patrol=perception.part(IdlenessMap) is not None,
+            is_patrol=any(part.is_patrol for part in perception.parts),
         )
         self.ends_by = on_device(np.asarray(TARGETS.index(chosen), np.int32))
         self.counts_walls = chosen == "walls"
@@ -335,7 +323,7 @@ class ExplorationScenario(Scenario):
         self.map_arrays = MapArrays(world, known, reachable, ground, closed).pad()
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
-        self.perception, self.planted = perception, planted
+        self.perception = perception
 
     @property
     def goal_check(self) -> GoalCheck | None:
@@ -413,6 +401,11 @@ class ExplorationScenario(Scenario):
         return default_objective(self.num_targets, self.goal, self.target)
 
     @property
+    def metric_groups(self) -> tuple[str, ...]:
+        """Names of the truths of parts, whose metrics are groups of their own."""
+        return tuple(each.name for each in self.truths)
+
+    @property
     def num_reachable(self) -> Scalar:
         """Number of reachable cells."""
         return jnp.sum(self.map_arrays.reachable, dtype=jnp.float32)
@@ -420,10 +413,10 @@ class ExplorationScenario(Scenario):
     def init(self, key: Key | None) -> tuple[ExplorationState, Belief]:
         """Return the initial state, and the belief with the prior map."""
         belief = self.perception.init(self.map_arrays.prior, self.robot.pose(self.start))
-        recognition = self.perception.part(Recognition)
-        if self.objects is not None and recognition is not None:
-            slots = recognition.init_slots(self.objects.label.shape[0])
-            belief = belief.with_parts({Recognition.name: slots})
+        for each in self.truths:
+            own = each.init_part(self.perception.part_named(each.name))
+            if own is not None:
+                belief = belief.with_parts({each.name: own})
         moving = self.moving_obstacles
         if moving is not None and key is not None:
             moving = moving.at_random_phase(key)
@@ -443,7 +436,7 @@ class ExplorationScenario(Scenario):
             pose=pose,
             is_guarded=self.guard is not None,
             is_on_hills=self.perception.ground is not None,
-            can_tip=self.chassis is not None,
+            truths={each.name: own for each in self.truths if (own := each.init()) is not None},
             place=place,
             odometer=odometer,
         )._replace(
@@ -502,7 +495,8 @@ class ExplorationScenario(Scenario):
         state = state._replace(own=onboard.learn(own, sensed.measured, place))
         if self.counts_walls:
             walls = state.own.knowledge.walls
-            state = state._replace(gain=gain.update(walls, self.control_period))
+            gain = gain.update(walls, self.control_period, state.belief.is_sent)
+            state = state._replace(gain=gain)
         return state, state.belief
 
     def sense(
@@ -523,7 +517,8 @@ class ExplorationScenario(Scenario):
             key: random key of the step's measurements.
             is_told: whether a robot that finds no moving obstacles itself is told of them; static.
         """
-        onboard, judge = self.onboard, Judge(self.perception, self.map_arrays.reachable)
+        onboard = self.onboard
+        judge = Judge(self.perception, self.map_arrays.reachable, self.truths)
         measured, ranges = self.instruments.measure(state, truth, moment, key, is_told=is_told)
         is_due, pose = measured.is_scan_due, self.robot.pose(state.robot)
         own, sight = onboard.examine(state.own, measured)
@@ -531,23 +526,22 @@ class ExplorationScenario(Scenario):
         if place is None:
             before, own = judge.count_before(own, is_due, sight)
         own, is_mapped = onboard.map_scans(own, measured, sight)
-        recognition = self.perception.part(Recognition)
-        judged = judge.judge(
-            *(state.judged, before, own, measured, sight, is_mapped),
+        judged, truths = judge.judge(
+            *(state.judged, state.truths, before, own, measured, sight, is_mapped),
             is_due=is_due,
             pose=pose,
             place=place,
             find=lambda: self.sensors[0].sees(truth.grid, pose, self.targets, truth.ground),
-            target_class=None if recognition is None else recognition.target,
         )
-        gain = state.gain.update(judged.progress.coverage, self.control_period)
-        state = state._replace(own=own, judged=judged, gain=gain, ranges=ranges)
+        coverage = judged.progress.coverage
+        gain = state.gain.update(coverage, self.control_period, own.belief.is_sent)
+        state = state._replace(own=own, judged=judged, truths=truths, gain=gain, ranges=ranges)
         return Sensed(state, measured, sight)
 
     @property
     def instruments(self) -> Instruments:
         """What measures in the true world."""
-        return Instruments(self.onboard, self.rates, self.objects, self.tracking_noise)
+        return Instruments(self.onboard, self.rates, self.truths, self.tracking_noise)
 
     @property
     def rates(self) -> Rates:
@@ -586,7 +580,7 @@ class ExplorationScenario(Scenario):
         """
         # Moving obstacles move during the step as well, so contact is with those at its end.
         truth = self.true_world(state, moment._replace(time=moment.time + self.control_period))
-        record, wheels = move(
+        record, truths = move(
             self.robot,
             state,
             control,
@@ -596,7 +590,7 @@ class ExplorationScenario(Scenario):
             info=info,
             is_faulty=moment.is_faulty,
             stop=moment.stop,
-            chassis=self.chassis,
+            truths=self.truths,
         )
         own, odometer, judged = state.own, state.odometer, state.judged
         if self.localisation is not None and own.place is not None and odometer is not None:
@@ -614,20 +608,21 @@ class ExplorationScenario(Scenario):
             record = carry(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
         state = state.after_step(record.state, control)._replace(
-            own=own, judged=judged, motion=motion, wheels=wheels, odometer=odometer
+            own=own, judged=judged, motion=motion, truths=truths, odometer=odometer
         )
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
     def is_unfinished(self, state: ExplorationState) -> Flag:
         """Check whether the loop continues: until the task is given up or finished, plus the hover
-        time, or the robot has tipped over.
+        time, or what is true of a part ends it.
 
         A scenario without a goal that is finished at the start takes no step.
         """
         is_over = (state.finished > self.hover_steps) | self.is_given_up(state)
-        if state.wheels is not None:
-            is_over = is_over | state.wheels.is_tipped
+        for each in self.truths:
+            ended = each.is_over(state.truths.get(each.name))
+            is_over = is_over if ended is None else is_over | ended
         if self.goal is None and self.num_targets == 0:
             is_over = is_over | (self.is_finished(state) & (self.hover_steps == 0))
         return ~is_over
@@ -680,7 +675,7 @@ class ExplorationScenario(Scenario):
         scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key, motion)
         plan = None if inspect is None else inspect(moment.observed, state.belief)
         seen = (self.robot, self.sensors[0], state.robot, state.belief, state.is_seen)
-        return frame_arrays(*seen, scan, truth.discs, plan)
+        return frame_arrays(*seen, scan, truth.discs, plan, self.truths)
 
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
@@ -711,13 +706,15 @@ class ExplorationScenario(Scenario):
         names = () if controller is None else controller.member_names
         parts = (self.map_arrays.crop(), self.robot, self.start, self.period)
         end = (self.goal, self.target, self.target_coverage, self.targets)
-        planted, how = self.planted, self.perception.part(Recognition)
         after: ExplorationState = run.state.task
+        reports = part_reports(
+            self.truths, self.perception, after.belief.parts, after.truths, after.belief.grid
+        )
         is_given_up, place = bool(self.is_given_up(after)), None
         if after.own.place is not None and after.judged.track is not None:
             place = after.judged.track.data(after.own.place, after.belief.grid)
         local = make_recording(
-            *(before, run, *parts, *end, names, planted, self.objects, how, place),
+            *(before, run, *parts, *end, names, reports, place),
             is_given_up=is_given_up,
         )
         return local.move(self.datum.offset)

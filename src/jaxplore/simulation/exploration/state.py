@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +22,6 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.judge import Judged, TrueTrack
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.odometer import Odometer
-from jaxplore.simulation.exploration.wheels import Wheels
 
 
 class ExplorationState(NamedTuple):
@@ -37,7 +36,7 @@ class ExplorationState(NamedTuple):
         moving_obstacles: moving obstacles with their drawn starts; None without any.
         ranges: (B,) ranges of the last scan, sensor by sensor [m].
         motion: motion of the robot in the last step.
-        wheels: the vehicle on its wheels; None for a robot that cannot tip over.
+        truths: states of the truths of the robot's parts, by name.
         odometer: odometry of the run; None if the robot knows its pose.
         landing: pose to which a fault carries the robot; None without such a fault.
         control: (nu,) control of the last step, for a lidar that turns; None without one.
@@ -51,7 +50,7 @@ class ExplorationState(NamedTuple):
     moving_obstacles: MovingObstacles | None
     ranges: Float[Array, " B"]
     motion: Motion
-    wheels: Wheels | None = None
+    truths: dict[str, Any]
     odometer: Odometer | None = None
     landing: Pose | None = None
     control: ControlVector | None = None
@@ -106,17 +105,17 @@ def initial_state(
     *,
     pose: Pose,
     is_guarded: bool = False,
+    truths: dict[str, Any],
     is_on_hills: bool = False,
-    can_tip: bool = False,
     place: PoseKnowledge | None = None,
     odometer: Odometer | None = None,
 ) -> ExplorationState:
     """Return the state at the start.
 
     `belief` has no moving obstacles yet. `is_guarded` says whether a guard needs the end points of
-    scans, `is_on_hills` whether these may be of the ground, `can_tip` whether the robot has a
-    chassis that can tip over. `pose` [m, m, rad] is its true pose. `place` is what it knows of its
-    pose, and `odometer` the odometry of the run; both are None if it knows its pose.
+    scans, `is_on_hills` whether these may be of the ground. `pose` [m, m, rad] is the true pose.
+    `truths` are the states of the truths of parts. `place` is what the robot knows of its pose, and
+    `odometer` the odometry of the run; both are None if it knows its pose.
     """
     number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None and belief.tracks is None:
@@ -136,6 +135,6 @@ def initial_state(
         moving_obstacles=moving,
         ranges=jnp.asarray(max_ranges(sensors)),
         motion=Motion(jnp.zeros(()), jnp.zeros(())),
-        wheels=Wheels.at_rest() if can_tip else None,
+        truths=truths,
         odometer=odometer,
     )

@@ -45,9 +45,11 @@ def check_members(
                 f"targets of robots[{index}] differ; accepted: those of robots[0], for which all "
                 "robots look"
             )
-        if (each.chassis is None) != (first.chassis is None):
+        names = [[truth.name for truth in one.truths] for one in (each, first)]
+        if names[0] != names[1]:
             raise ValueError(
-                f"chassis of robots[{index}] differs; accepted: as robots[0], with one or without"
+                f"truths of robots[{index}] are {names[0]}; accepted: those of robots[0], "
+                f"{names[1]}"
             )
         names = [[part.name for part in one.perception.parts] for one in (each, first)]
         if names[0] != names[1]:

@@ -16,12 +16,11 @@ from jaxplore.belief.plans import Plans
 from jaxplore.control.base import Info
 from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation
-from jaxplore.parts.watch import IdlenessMap
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
-from jaxplore.simulation.exploration.progress import mean_and_worst
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.contact import predict_positions
+from jaxplore.simulation.fleet.parts import gather_parts
 from jaxplore.simulation.fleet.radio import Exchanged, Heard, Radio, exchange
 from jaxplore.simulation.fleet.rows import others
 from jaxplore.simulation.fleet.state import FleetState, Team
@@ -35,14 +34,14 @@ class Known(NamedTuple):
     """What the robots of a fleet know together.
 
     `coverage` is the share of the reachable cells that some robot knows to be free, `coverages`
-    (N,) that of each, and `is_seen` (M,) says which targets some robot has seen. `idleness` (2,) is
+    (N,) that of each, and `is_seen` (M,) says which targets some robot has seen. `judged` is
     that of `FleetState`.
     """
 
     coverage: Scalar
     coverages: Float[Array, " N"]
     is_seen: Bool[Array, " M"]
-    idleness: Float[Array, "2"] | None
+    judged: dict[str, Any]
 
 
 class Talk(NamedTuple):
@@ -106,14 +105,14 @@ class Talk(NamedTuple):
 
     def count_known(self, members: Sequence[ExplorationState], time: Scalar | None = None) -> Known:
         """Return what all robots know together; `time` is the time since the start, 0 when None."""
-        watch = IdlenessMap.name
+        judging = [each for each in self.members[0].truths if each.is_judging]
         rows = self.share.gather(
             [
                 (
                     each.belief.grid.is_free,
                     each.progress.coverage,
                     each.is_seen,
-                    each.belief.parts.get(watch),
+                    {truth.name: each.belief.parts[truth.name] for truth in judging},
                 )
                 for each in members
             ]
@@ -124,12 +123,13 @@ class Talk(NamedTuple):
         first = self.members[0]
         reachable, number = first.map_arrays.reachable, first.num_reachable
         found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
-        idleness = None
-        if rows[0][3] is not None:
-            least = functools.reduce(jnp.minimum, [row[3] for row in rows])
-            now = jnp.zeros(()) if time is None else time
-            idleness = jnp.stack(mean_and_worst(least, reachable, number, now))
-        return Known(found / number, jnp.stack([row[1] for row in rows]), is_seen, idleness)
+        now = jnp.zeros(()) if time is None else time
+        known_parts = gather_parts(first, [row[3] for row in rows])
+        judged = {
+            each.name: each.judge(each.init(), known_parts[each.name], reachable, number, now)
+            for each in judging
+        }
+        return Known(found / number, jnp.stack([row[1] for row in rows]), is_seen, judged)
 
     def discs(self, state: FleetState) -> MovingDiscs | None:
         """Return all robots as discs that move; None for a robot alone."""
@@ -222,7 +222,7 @@ class Talk(NamedTuple):
             return tuple(after), self.count_known(state.members, moment.time), number
 
         obstacles = tuple(each.belief.obstacles for each in state.members)
-        before = Known(state.coverage, team.coverages, state.is_seen, state.idleness)
+        before = Known(state.coverage, team.coverages, state.is_seen, state.judged)
         known, together, links = jax.lax.cond(
             moment.step % self.members[0].steps_per_scan == 0,
             tell,
@@ -238,7 +238,7 @@ class Talk(NamedTuple):
             members=members,
             coverage=together.coverage,
             is_seen=together.is_seen,
-            idleness=together.idleness,
+            judged=together.judged,
             team=team,
         )
 

@@ -1,7 +1,9 @@
 """The motion of the robots of a fleet among what is solid, before contact with one another."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -11,7 +13,6 @@ from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.exploration.wheels import Wheels
 from jaxplore.simulation.state import Moment
 
 
@@ -23,10 +24,10 @@ def moves(
     controls: Sequence[Array],
     moment: Moment,
     info: Info,
-) -> list[tuple[ExplorationRecord, Wheels | None]]:
+) -> list[tuple[ExplorationRecord, dict[str, Any]]]:
     """Move each robot for a control period, unless it would touch something solid; see `move`.
 
-    Return the record and the wheels of each.
+    Return the record of each, and the states of the truths of its parts.
 
     Every process moves all robots. Of one that another process computes, nothing but the record's
     state, clearance and collision is meant. `members` are the states of the robots of `share`,
@@ -50,15 +51,21 @@ def moves(
             info=info,
             is_faulty=moment.is_faulty,
             stop=None,
-            chassis=one.chassis,
+            truths=one.truths,
         )
         records.append(moved)
     return records
 
 
-def stack_wheels(records: Sequence[ExplorationRecord]) -> dict[str, Array]:
-    """Return the fields of the wheels (N,) of a `FleetRecord`; none without a chassis."""
-    names = ("load_transfer", "wheel_travel", "is_tipped")
-    if records[0].is_tipped is None:
-        return {}
-    return {name: jnp.stack([getattr(each, name) for each in records]) for name in names}
+def stack_parts(
+    records: Sequence[ExplorationRecord], together: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the records of parts of a `FleetRecord`, by name.
+
+    `together` are those of what all robots know together. The others are those of each robot (N,).
+    """
+    apart = [
+        {name: each for name, each in one.parts.items() if name not in together} for one in records
+    ]
+    stacked: dict[str, Any] = jax.tree.map(lambda *each: jnp.stack(each), *apart)
+    return {**stacked, **together}

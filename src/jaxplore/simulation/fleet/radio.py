@@ -288,15 +288,13 @@ def exchange(
     ]
     found = explorations.each(merge, small, poses, [every[i] for i in share.mine])
     after = []
-    for one, state, (probability, clearance, sums, _) in zip(
-        scenarios, members, found, strict=True
-    ):
+    for state, (probability, clearance, sums, _) in zip(members, found, strict=True):
         belief = dataclasses.replace(
             state.belief,
             grid=state.belief.grid.with_probability(probability),
             clearance=dataclasses.replace(state.belief.clearance, values=clearance),
         )
-        progress = map_progress(sums, belief, one.map_arrays.reachable, time)
+        progress = map_progress(sums, belief.grid)
         judged = state.judged._replace(sums=sums, progress=progress)
         after.append(state.with_belief(belief)._replace(judged=judged))
     after, told_bytes = share_parts(scenarios, share, after, links)

@@ -1,6 +1,5 @@
 """Frames and the recording of a run of a fleet, from the arrays on the device."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,20 +9,17 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxplore._types import GridValues
-from jaxplore.belief.part import Part
 from jaxplore.control.base import SampledPlan
 from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation, extent
-from jaxplore.parts.anomalies import AnomalyTest
-from jaxplore.parts.recognition import Recognition
-from jaxplore.parts.watch import IdlenessMap
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import has_coverage_target
-from jaxplore.simulation.exploration.frames import object_classes
-from jaxplore.simulation.exploration.recording import anomaly_data, object_data
+from jaxplore.simulation.exploration.frames import part_frames
+from jaxplore.simulation.exploration.recording import part_reports
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.fleet.parts import gather_parts
 from jaxplore.simulation.fleet.state import FleetState
 
 
@@ -41,11 +37,11 @@ def fleet_frame(
     share: Share,
     plan: SampledPlan | None,
     links: Bool[Array, "N N"] | None,
-    parts: Sequence[Part],
+    one: ExplorationScenario,
 ) -> dict[str, Any]:
     """Return the arrays of a `FleetFrame`, by field; without a plan or links it shows none.
 
-    `parts` are those of each robot.
+    `one` is the exploration of the first robot.
     """
     number, states = len(robot.robots), robot.split_state(state.robot)
     headings = [one.heading(each) for one, each in zip(robot.robots, states, strict=True)]
@@ -53,7 +49,8 @@ def fleet_frame(
     if plan is not None:
         plans = jnp.swapaxes(jax.vmap(robot.positions)(plan.nominal.states), 0, 1)
     maps = share.gather([each.belief.grid.probability for each in state.members])
-    known = merge_parts(parts, share.gather([each.belief.parts for each in state.members]))
+    told = share.gather([each.belief.parts for each in state.members])
+    known = gather_parts(one, told)
     return {
         "positions": robot.positions(state.robot),
         "headings": jnp.stack(headings),
@@ -61,7 +58,7 @@ def fleet_frame(
         "plans": plans,
         "links": jnp.zeros((number, number), bool) if links is None else links,
         "is_found": state.is_seen,
-        "classes": object_classes(known.get(Recognition.name)),
+        "parts": part_frames(one.truths, known),
     }
 
 
@@ -84,10 +81,10 @@ def make_recording(
     own = [grid.crop(each.belief.grid.probability) for each in after.members]
     maps = share.gather_on_host(own)
     rows = _gather_on_host(share, [each.belief.parts for each in after.members])
-    known = merge_parts(first.perception.parts, rows)
-    idleness, anomalies = known.get(IdlenessMap.name), known.get(AnomalyTest.name)
-    recognition = first.perception.part(Recognition)
-    reports = anomaly_data(anomalies, first.planted)
+    known = gather_parts(first, rows)
+    states = [dict(each.truths) for each in after.members]
+    stacked = jax.tree.map(lambda *each: jnp.stack(each), *_gather_on_host(share, states))
+    reports = part_reports(first.truths, first.perception, known, stacked, grid)
     return FleetRecording(
         **run.common(period),
         world=np.asarray(arrays.world.probability),
@@ -110,30 +107,9 @@ def make_recording(
         targets=np.asarray(first.targets),
         traversable=None if arrays.traversable is None else np.asarray(arrays.traversable),
         elevation=None if arrays.ground is None else np.asarray(arrays.ground.elevation),
-        idleness=None if idleness is None else grid.crop(idleness),
-        anomalies=reports,
-        objects=object_data(known.get(Recognition.name), first.objects, recognition),
+        parts=reports,
         initial_unknown=float(before.members[0].progress.unknown),
     )
-
-
-def merge_parts(parts: Sequence[Part], rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the states of parts that a robot would have which heard all, from those of each."""
-    if not rows[0]:
-        return {}
-    told = jax.tree.map(lambda *each: jnp.stack(each), *rows)
-    everybody = jnp.ones(len(rows), bool)
-    merged = {
-        part.name: part.merge(rows[0][part.name], told[part.name], everybody)
-        for part in parts
-        if part.name in told
-    }
-    test = merged.get(AnomalyTest.name)
-    if test is not None:
-        # Each robot has dropped suspicions of its own.
-        total = jnp.sum(told[AnomalyTest.name].num_cleared, dtype=jnp.int32)
-        merged[AnomalyTest.name] = dataclasses.replace(test, num_cleared=total)
-    return merged
 
 
 def _gather_on_host(share: Share, own: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

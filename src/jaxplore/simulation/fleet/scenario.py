@@ -25,6 +25,7 @@ from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import NEVER, TARGETS
+from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
@@ -32,7 +33,7 @@ from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
 from jaxplore.simulation.fleet.communication import Talk
 from jaxplore.simulation.fleet.contact import stop_touching
-from jaxplore.simulation.fleet.motion import moves, stack_wheels
+from jaxplore.simulation.fleet.motion import moves, stack_parts
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
 from jaxplore.simulation.fleet.senses import TeamSenses
@@ -173,9 +174,22 @@ class Fleet(Scenario):
             ValueError: robots that are not all equal, or one alone.
         """
         check_share(share, self.explorations.kinds, "robots")
-        if self.members[0].chassis is not None:
-            raise ValueError("chassis of the robots is given; accepted in several processes: none")
+        moving = [each.name for each in self.members[0].truths if each.is_moving]
+        if moving:
+            raise ValueError(
+                f"{moving[0]} of the robots is given; accepted in several processes: none"
+            )
         return with_field(self, "share", share)
+
+    @property
+    def metric_groups(self) -> tuple[str, ...]:
+        """Names of the truths of parts, whose metrics are groups of their own."""
+        return self.members[0].metric_groups
+
+    @property
+    def _judging(self) -> tuple[PartTruth, ...]:
+        """Truths that judge what the robots know together."""
+        return tuple(each for each in self.members[0].truths if each.is_judging)
 
     @property
     def steps_per_measurement(self) -> int:
@@ -230,7 +244,7 @@ class Fleet(Scenario):
             known.is_seen,
             jnp.zeros((), jnp.int32),
             self._talk.begin(members) if self.num_robots > 1 else None,
-            known.idleness,
+            known.judged,
         )
         return state, self._belief(state)
 
@@ -250,12 +264,10 @@ class Fleet(Scenario):
         )
         known = state._replace(members=members)
         if known.team is None:
-            alone, idleness = members[0], known.idleness
-            if idleness is not None:
-                progress = alone.progress
-                idleness = jnp.stack([progress.mean_idleness, progress.worst_idleness])
+            alone = members[0]
+            judged = {name: alone.truths[name] for name in known.judged}
             known = known._replace(
-                coverage=alone.progress.coverage, is_seen=alone.is_seen, idleness=idleness
+                coverage=alone.progress.coverage, is_seen=alone.is_seen, judged=judged
             )
         else:
             known = self._talk.tell_when_due(known, known.team, moment)
@@ -273,7 +285,7 @@ class Fleet(Scenario):
         before = self.robot.split_state(state.robot)
         controls = self.robot.split_control(control)
         found = moves(self.members, self.share, state.members, before, controls, moment, info)
-        records, wheels = zip(*found, strict=True)
+        records, truths = zip(*found, strict=True)
         moved = [each.state for each in records]
         clearance = jnp.stack([each.clearance for each in records])
         contact, team = jnp.zeros(self.num_robots, bool), state.team
@@ -286,9 +298,9 @@ class Fleet(Scenario):
             sent, links, coverages = team.sent, team.links, team.coverages
             team = self._talk.update_plans(team, state.robot, moved, moment.step, info)
         members = tuple(
-            each.after_step(robot, given)._replace(wheels=after)
+            each.after_step(robot, given)._replace(truths=after)
             for each, robot, given, after in zip(
-                state.members, *map(self.share.select, (moved, controls, wheels)), strict=True
+                state.members, *map(self.share.select, (moved, controls, truths)), strict=True
             )
         )
         joint = jnp.concatenate(moved)
@@ -308,9 +320,10 @@ class Fleet(Scenario):
             sent=sent,
             links=links,
             targets_seen=self._count_seen(state),
-            mean_idleness=None if state.idleness is None else state.idleness[0],
-            worst_idleness=None if state.idleness is None else state.idleness[1],
-            **stack_wheels(records),
+            parts=stack_parts(
+                records,
+                {each.name: each.record(state.judged[each.name]) for each in self._judging},
+            ),
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -375,8 +388,7 @@ class Fleet(Scenario):
         """Return what the robots know together, their poses, plans and links."""
         plan = None if inspect is None else inspect(moment.observed, self._belief(state))
         links = None if state.team is None else self._talk.links(state, moment)
-        parts = self.members[0].perception.parts
-        return fleet_frame(self.robot, state, self.share, plan, links, parts)
+        return fleet_frame(self.robot, state, self.share, plan, links, self.members[0])
 
     def make_frame(self, step: int, arrays: Any) -> FleetFrame:
         """Make a frame on the host, with the cells that are on the map."""

@@ -1,6 +1,6 @@
 """State of a fleet."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxtyping import Array, Bool, Float
 
@@ -36,9 +36,9 @@ class FleetState(NamedTuple):
     `robot` (nx,) are the true states of all robots, one after the other. `members` are the states
     of those that this process computes, each as an explorer. `coverage` is the share of the
     reachable cells that some robot knows to be free, and `gain` its last rise. `is_seen` (M,) says
-    which targets some robot has seen, and `idleness` (2,) are the mean and the greatest time since
-    some robot saw each reachable cell [s]; None without a watch. `finished` is the number of steps
-    since the task was finished; 0 before. `team` is None for a robot alone.
+    which targets some robot has seen. `finished` is the number of steps since the task was
+    finished; 0 before. `team` is None for a robot alone. `judged` are the states of truths of parts
+    that judge what the robots know together, by name.
     """
 
     robot: StateVector
@@ -48,4 +48,4 @@ class FleetState(NamedTuple):
     is_seen: Bool[Array, " M"]
     finished: Count
     team: Team | None
-    idleness: Float[Array, "2"] | None = None
+    judged: dict[str, Any]

@@ -46,7 +46,7 @@ class Comparison:
     def summaries(self) -> dict[str, dict[str, Any]]:
         """Return the statistics over the runs of each variant, by the names of the columns."""
         return {
-            name: {column.name: column.value(metrics) for column in metrics[0].columns}
+            name: {column.name: column.value(metrics) for column in metrics[0].list_columns()}
             for name, metrics in self.runs.items()
             if metrics
         }
@@ -60,7 +60,7 @@ class Comparison:
         metrics = next((each[0] for each in self.runs.values() if each), None)
         columns = [
             column
-            for column in (() if metrics is None else metrics.columns)
+            for column in (() if metrics is None else metrics.list_columns())
             if any(column.applies(each[column.name]) for each in summaries.values())
         ]
         header = ("", *(column.header for column in columns))
@@ -170,7 +170,7 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
     every = [each for metrics in shown.values() for each in metrics]
     curves = [
         curve
-        for curve in (() if first is None else first.plotted)
+        for curve in (() if first is None else first.list_curves())
         if any(curve.applies(each) for each in every)
     ]
     figure = Figure(figsize=(5.0 * max(len(curves), 1), 4.4), layout="constrained")

@@ -60,7 +60,7 @@ class ControllerEpisodes(Episodes):
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of the metrics of an episode."""
-        return list_metrics(self._example.scenario.metrics_type)
+        return list_metrics(self._example.scenario)
 
     @property
     def default_objective(self) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxplore.parameters import nearest
 from jaxplore.report.compute import Compute
-from jaxplore.report.metrics import Metrics
 from jaxplore.report.statistics import tail_mean
+from jaxplore.simulation.scenario import Scenario
 
 type Numbers = Mapping[str, float | None]
 """Metrics of one episode by name; None for an event that never happened."""
@@ -153,9 +153,9 @@ class Objective:
         return math.fsum(values) / len(values)
 
 
-def list_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
-    """Return the names of the metrics of a class; a name that ends with a dot is a prefix."""
-    names: list[str] = []
+def list_metrics(scenario: Scenario) -> tuple[str, ...]:
+    """Return the names of the metrics of a scenario; a name that ends with a dot is a prefix."""
+    metrics_type, names = scenario.metrics_type, [f"{each}." for each in scenario.metric_groups]
     for field in dataclasses.fields(metrics_type):
         if field.name in ("time_to", "path_to"):
             names += [f"{field.name}.{level}" for level in metrics_type.levels]
@@ -168,7 +168,7 @@ def list_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
     return tuple(names)
 
 
-_NO_NUMBERS = ("coverage_curve", "curves", "lap_times", "versions", "seed")
+_NO_NUMBERS = ("coverage_curve", "curves", "lap_times", "versions", "seed", "parts")
 """Fields of metrics that are no objective: curves, lists, texts and the seed."""
 
 

@@ -97,7 +97,7 @@ class SettingsEpisodes(Episodes):
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of the metrics of an episode."""
-        return list_metrics(self.example.scenario.metrics_type)
+        return list_metrics(self.example.scenario)
 
     @property
     def default_objective(self) -> str:

@@ -53,6 +53,7 @@ class IdlenessMap(Part):
     """
 
     name: ClassVar[str] = "watch"
+    is_patrol: ClassVar[bool] = True
 
     memory: Scalar | None
     weight: Scalar

@@ -20,7 +20,7 @@ from jaxplore.belief.sight import is_in_sight
 from jaxplore.information.field import InformationField
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD, OccupancyGrid
-from jaxplore.parts.anomaly_reports import (
+from jaxplore.parts.anomalies.reports import (
     APPEARED,
     GONE,
     PERSON,

@@ -14,7 +14,7 @@ from jaxplore._types import GridMask, Rows, Scalar
 from jaxplore.belief.part import Part
 from jaxplore.geometry.outlines import Outlines, nearest
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
-from jaxplore.parts.anomaly_reports import cell_centres
+from jaxplore.parts.anomalies.reports import cell_centres
 
 CORNER = 0.5**0.5
 """Distance of a corner of a cell from its centre, as a share of its side."""

@@ -1,0 +1,1 @@
+"""Areas that robots must not enter."""

@@ -1,0 +1,1 @@
+"""Patrol and search: how long ago each cell was seen."""

@@ -1,0 +1,1 @@
+"""Vehicles that can tip over."""

@@ -1,0 +1,110 @@
+"""The protocol of what a run shows of a part of its robots: metrics, figures, films, files."""
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from PIL import ImageDraw
+
+from jaxplore.report.drawing.footer import Entry
+from jaxplore.report.drawing.palette import Colour
+from jaxplore.report.drawing.shapes import Surface
+from jaxplore.report.exploration.window import Window
+from jaxplore.report.metrics import Column, Curve
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PartMetrics:
+    """Metrics of a part; in `metrics.json` they are under its name."""
+
+    columns: ClassVar[tuple[Column, ...]] = ()
+    """Columns of a comparison's table, computed from the metrics of the part."""
+    plotted: ClassVar[tuple[Curve, ...]] = ()
+    """Curves of a comparison, each a key of `PartReport.series`; `applies` is asked of these."""
+    found: ClassVar[str] = ""
+    """What a robot does with targets by the part, such as recognised; empty if it sees them."""
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the main metrics as (name, text), for tables."""
+        return []
+
+
+class Headline(NamedTuple):
+    """The number that a film shows below its picture.
+
+    Args:
+        text: the number at a step.
+        label: what it is.
+        values: (N + 1,) its values at all instants.
+    """
+
+    text: str
+    label: str
+    values: np.ndarray
+
+
+class PartReport(abc.ABC):
+    """What a run shows of a part, in NumPy; a frozen dataclass.
+
+    All methods but `metrics` show nothing by default. `run` are the `MissionData` that have the
+    report, and `frame` is a `MissionFrame` of them.
+    """
+
+    name: ClassVar[str]
+    """Name of the part."""
+    record_type: ClassVar[type | None] = None
+    """Class of its record of a step, a NamedTuple; None without one."""
+
+    def move(self, offset: np.ndarray) -> "PartReport":
+        """Return the report with an offset (2,) [m] added to all positions."""
+        return self
+
+    @abc.abstractmethod
+    def metrics(self, run: Any) -> PartMetrics:
+        """Compute the metrics of the part."""
+
+    def series(self, run: Any) -> dict[str, np.ndarray]:
+        """Return quantities at the N + 1 instants of a run, by name."""
+        return {}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return what `arrays.npz` has of the part, beside its fields of the record."""
+        return {}
+
+    def figures(self, run: Any) -> dict[str, Callable[[], "Figure"]]:
+        """Return functions that draw figures, by file name without suffix."""
+        return {}
+
+    def headline(self, run: Any, step: int) -> Headline | None:
+        """Return what a film of a run on a known map shows after a number of steps."""
+        return None
+
+    def add_to_map(self, axes: "Axes", run: Any, window: Window) -> None:  # noqa: B027
+        """Draw into the figure of the map."""
+
+    def draw(  # noqa: B027
+        self, surface: Surface, draw: ImageDraw.ImageDraw, run: Any, frame: Any
+    ) -> None:
+        """Draw into a picture of the film."""
+
+    def footer(self, run: Any, frame: Any) -> str:
+        """Return a few words below the picture of a frame."""
+        return ""
+
+    def marks(self, frame: Any) -> list[tuple[np.ndarray, Colour]]:
+        """Return the place (2,) [m] and colour of each disc that views show in a frame."""
+        return []
+
+    def legend(self) -> list[Entry]:
+        """Return what the legend of the film says."""
+        return []
+
+    def colours(self) -> list[Colour]:
+        """Return the colours that the film needs."""
+        return []
