@@ -267,6 +267,8 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "target_explorer": {"rule": "nearest-frontier", "perception": scenario.perception},
         "KeepOut": {"areas": [[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]]},
         "Objects": {},
+        "Battery": {"dock": (1.0, 1.0)},
+        "TrueBattery": {"battery": jx.parts.Battery((1.0, 1.0))},
         "PlantedAnomalies": {"boxes": [(0.0, 0.0, 1.0, 1.0)], "kinds": [1]},
         "Wheels": {"chassis": geometry.Chassis(0.5, 0.4, 0.3)},
         "Recognition": {"detector": sensing.Detector(("a", "b"), [[0.9, 0.1], [0.2, 0.8]])},

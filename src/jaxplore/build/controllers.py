@@ -36,7 +36,7 @@ from jaxplore.planning.strategy.uncertainty_aware import UncertaintyAware
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.exploration import BASELINES, Settings
+from jaxplore.settings.exploration import BASELINES, GROUND, Settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
@@ -50,6 +50,7 @@ def build_controller(
             an architecture of the user's own that is none.
     """
     robot, perception = scenario.robot, scenario.perception
+    _check_errands(settings, scenario)
     chassis = build_chassis(settings.chassis, settings.robot, float(robot.radius))
     moving: dict[str, Any] = {
         "has_moving_obstacles": _has_moving(settings, world),
@@ -86,6 +87,27 @@ def build_controller(
     if is_own(settings.architecture):
         return import_controller(settings.architecture, scenario)
     return _quadrotor_controller(settings, robot, world, perception)
+
+
+def _check_errands(settings: Settings, scenario: ExplorationScenario) -> None:
+    """Check that a robot whose parts send it somewhere follows the guidance field.
+
+    Raises:
+        ValueError: an architecture that does not, or a goal that a portfolio has apart.
+    """
+    sent = [part.name for part in scenario.perception.parts if part.has_errands]
+    if not sent or is_own(settings.architecture):
+        return
+    if settings.architecture not in GROUND:
+        raise ValueError(
+            f"setting {sent[0]} is given beside the architecture {settings.architecture}; "
+            f"accepted: with {', '.join(GROUND)}, which follow the guidance field"
+        )
+    if scenario.perception.is_goal_apart:
+        raise ValueError(
+            f"setting {sent[0]} is given beside a goal in a portfolio; accepted: the explorer, or "
+            "no goal"
+        )
 
 
 def _has_moving(settings: Settings, world: RunWorld) -> bool:

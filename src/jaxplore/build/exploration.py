@@ -30,6 +30,7 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
 from jaxplore.parts.anomalies.robot import AnomalyTest
+from jaxplore.parts.battery.settings import build_battery
 from jaxplore.parts.recognition.truth import Objects
 from jaxplore.parts.watch.robot import IdlenessMap
 from jaxplore.parts.wheels.truth import Wheels
@@ -159,6 +160,8 @@ def _parts(settings: Settings, world: RunWorld) -> list[Part]:
         parts.append(keep_out)
     if settings.detector is not None:
         parts.append(build_recognition(settings.detector))
+    if settings.battery is not None:
+        parts.append(build_battery(settings.battery, world.start, world.datum)[0])
     return parts
 
 
@@ -173,6 +176,8 @@ def _truths(settings: Settings, robot: Dynamics, world: RunWorld) -> list[PartTr
     chassis = build_chassis(settings.chassis, settings.robot, float(robot.radius))
     if chassis is not None:
         truths.append(Wheels(chassis))
+    if settings.battery is not None:
+        truths.append(build_battery(settings.battery, world.start, world.datum)[1])
     return truths
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxplore.parts.anomalies.robot import Anomalies as Anomalies
 from jaxplore.parts.anomalies.robot import AnomalyTest as AnomalyTest
+from jaxplore.parts.battery.robot import Battery as Battery
 from jaxplore.parts.keep_out.robot import KeepOut as KeepOut
 from jaxplore.parts.recognition.robot import Look as Look
 from jaxplore.parts.recognition.robot import ObjectClasses as ObjectClasses
@@ -17,12 +18,14 @@ from jaxplore.parts.watch.robot import IdlenessMap as IdlenessMap
 
 if TYPE_CHECKING:
     from jaxplore.parts.anomalies.truth import PlantedAnomalies as PlantedAnomalies
+    from jaxplore.parts.battery.truth import TrueBattery as TrueBattery
     from jaxplore.parts.recognition.truth import Objects as Objects
     from jaxplore.parts.wheels.truth import Wheels as Wheels
 
 _TRUTHS = {
     "Objects": "recognition.truth",
     "PlantedAnomalies": "anomalies.truth",
+    "TrueBattery": "battery.truth",
     "Wheels": "wheels.truth",
 }
 """Modules of the truths, which rest on the simulation: they are imported when they are used."""

@@ -16,6 +16,7 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parts.anomalies.robot import AnomalyTest
+from jaxplore.parts.battery.settings import BatterySettings
 from jaxplore.parts.recognition.robot import Recognition
 from jaxplore.parts.watch.robot import IdlenessMap
 from jaxplore.planning.presets.flight import Flight
@@ -221,6 +222,7 @@ class Settings(RunSettings):
         anomalies: the test for what differs from the known map; none when absent. It needs a watch.
         detector: the detector of objects by the first sensor; none when absent.
         keep_out: areas that robots must not enter; none when absent.
+        battery: the robot's battery and its dock; it never runs down when absent.
         terrain: the ground.
         sensor_model: inverse sensor model, the update of a cell by a measurement.
         fields: the information and guidance fields.
@@ -265,6 +267,7 @@ class Settings(RunSettings):
     anomalies: AnomalySettings | None = None
     detector: DetectorSettings | None = None
     keep_out: KeepOutSettings | None = None
+    battery: BatterySettings | None = None
     terrain: TerrainSettings = TerrainSettings()
     sensor_model: SensorModelSettings = SensorModelSettings()
     fields: FieldSettings = FieldSettings()

@@ -265,6 +265,7 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
             "runs that test for anomalies", lambda settings: settings.anomalies is not None
         ),
         "detector": Reader("runs with a detector", lambda settings: settings.detector is not None),
+        "battery": Reader("runs with a battery", lambda settings: settings.battery is not None),
         "map_file": Reader("ROS maps", _is_ros_map),
         "terrain.height_map": Reader("ROS maps, worlds", lambda settings: not _is_office(settings)),
         "portfolio": _PORTFOLIO,

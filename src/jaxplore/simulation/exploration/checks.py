@@ -33,23 +33,24 @@ def check_goal(
     goal: Position,
     world: OccupancyGrid,
     robot: Dynamics,
-    reachable: GridMask,
+    reachable: np.ndarray | GridMask,
     radius: float,
     datum: Datum,
+    name: str = "goal",
 ) -> None:
     """Check that a goal is in free space, and within `radius` [m] of a reachable cell's centre."""
     if float(probability_at(world, goal)) >= FREE_THRESHOLD:
         raise ValueError(
-            f"goal is {datum.round_to_map(goal).tolist()}; accepted: a place in free space"
+            f"{name} is {datum.round_to_map(goal).tolist()}; accepted: a place in free space"
         )
     centres = np.argwhere(np.asarray(reachable)) + 0.5
     away = np.linalg.norm(centres - np.asarray(to_grid(world.frame, goal)), axis=-1)
     nearest = world.resolution * float(away.min())
     if nearest > radius:
         raise ValueError(
-            f"goal is {datum.round_to_map(goal).tolist()}, which a robot of radius "
+            f"{name} is {datum.round_to_map(goal).tolist()}, which a robot of radius "
             f"{float(robot.radius):g} m cannot reach from its start: {nearest:.2f} m is the "
-            f"nearest it gets; accepted: a goal within {radius:g} m of where it can go"
+            f"nearest it gets; accepted: a {name} within {radius:g} m of where it can go"
         )
 
 

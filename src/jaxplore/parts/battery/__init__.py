@@ -1,0 +1,1 @@
+"""A battery, and the way to the dock where it is charged."""

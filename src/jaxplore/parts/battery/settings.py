@@ -1,0 +1,40 @@
+"""Settings of a battery, and the part and the truth that they describe."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import Field
+
+from jaxplore.maps.datum import Datum
+from jaxplore.parts.battery.robot import Battery
+from jaxplore.parts.battery.truth import TrueBattery
+from jaxplore.settings.defaults import arguments, setting
+from jaxplore.settings.sections import NonNegative, Positive, Real, Section, Share
+
+
+class BatterySettings(Section):
+    """A battery, and the dock where it is charged: see `jaxplore.parts.Battery`.
+
+    Args:
+        dock: position (x, y) of the dock [m]; that of the start when absent.
+    """
+
+    dock: tuple[Real, Real] | None = None
+    capacity: Positive = setting(Battery, "capacity")
+    idle: NonNegative = setting(Battery, "idle")
+    per_metre: NonNegative = setting(Battery, "per_metre")
+    mass: NonNegative = setting(Battery, "mass")
+    reserve: Annotated[float, Field(ge=0, lt=1)] = setting(Battery, "reserve")
+    enough: Share = setting(Battery, "enough")
+    cruise: Positive = setting(Battery, "cruise")
+    power: Positive = setting(TrueBattery, "power")
+    charge: Share = setting(TrueBattery, "charge")
+
+
+def build_battery(
+    given: BatterySettings, start: Sequence[float], datum: Datum
+) -> tuple[Battery, TrueBattery]:
+    """Build the part on board and its truth; `start` (x, y, ...) is relative to the datum [m]."""
+    dock = start[:2] if given.dock is None else datum.to_local(given.dock)
+    battery = Battery(dock, **arguments(given, Battery))
+    return battery, TrueBattery(battery, **arguments(given, TrueBattery))
