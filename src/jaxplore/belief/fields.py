@@ -69,6 +69,7 @@ class BeliefFields(eqx.Module):
         """
         return self.update_guidance(self.update_information(belief), pose, elapsed)
 
+    @_kinds.check_arguments
     def update_information(self, belief: Belief) -> Belief:
         """Return the belief with the information field of its map; see `update_fields`.
 
@@ -78,7 +79,6 @@ class BeliefFields(eqx.Module):
         Raises:
             ValueError: something else than a belief.
         """
-        _kinds.instance("belief", belief, Belief)
         # What parts add is in the last field, and an update would keep it.
         is_added = any(part.adds_information for part, _ in self._list_active(belief.parts))
         before = None if is_added else belief.information
@@ -93,6 +93,7 @@ class BeliefFields(eqx.Module):
             dwell = jnp.where(belief.gain.since >= self.memory, left, dwell)
         return dataclasses.replace(belief, information=information, dwell=dwell)
 
+    @_kinds.check_arguments
     def update_guidance(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Return the belief with the fields that follow from its information; see `update_fields`.
 
@@ -104,7 +105,6 @@ class BeliefFields(eqx.Module):
         Raises:
             ValueError: an argument of another kind or shape.
         """
-        _kinds.instance("belief", belief, Belief)
         pose = _checks.pose("pose", pose)
         _checks.of_shape("elapsed", elapsed, ())
         information = belief.information

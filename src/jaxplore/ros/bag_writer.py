@@ -34,8 +34,8 @@ class BagWriter:
     folder, another storage or a missing `rosbags` raises a `ValueError`.
     """
 
+    @_kinds.check_arguments
     def __init__(self, path: str | os.PathLike[str], *, storage: str = "sqlite3") -> None:
-        _kinds.instance("path", path, str, os.PathLike)
         if storage not in STORAGES:
             raise ValueError(f"storage is {storage!r}; accepted: {', '.join(STORAGES)}")
         import_optional("rosbags.rosbag2", EXTRA)
