@@ -78,7 +78,7 @@ def check_arguments[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     names = list(inspect.signature(function).parameters)
 
     @functools.cache
-    def checked() -> list[tuple[int, str, Callable[[str, object], None]]]:
+    def find_checks() -> list[tuple[int, str, Callable[[str, object], None]]]:
         # At the first call: an annotation may be a name that its module defines further below.
         annotations = inspect.get_annotations(function, eval_str=True)
         checks = ((at, name, _check_of(annotations.get(name))) for at, name in enumerate(names))
@@ -86,7 +86,7 @@ def check_arguments[**P, R](function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def check_and_call(*args: P.args, **kwargs: P.kwargs) -> R:
-        for at, name, check in checked():
+        for at, name, check in find_checks():
             if at < len(args):
                 check(name, args[at])
             elif name in kwargs:
