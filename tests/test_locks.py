@@ -129,14 +129,14 @@ def test_a_folder_that_is_refused_keeps_no_lock(tmp_path: Path) -> None:
             raise RuntimeError
     assert tree(tmp_path) == []
     with lock_folder(tmp_path / "study", "study folder"):
-        (tmp_path / "study" / "study.db").touch()
+        (tmp_path / "study" / "study.jsonl").touch()
         with (
             pytest.raises(ValueError, match=r"study folder .* is in use by another process"),
             lock_folder(tmp_path / "study", "study folder"),
         ):
             pass
-        assert tree(tmp_path / "study") == [".jaxplore.lock", "study.db"]
-    assert tree(tmp_path) == ["study", "study/study.db"]
+        assert tree(tmp_path / "study") == [".jaxplore.lock", "study.jsonl"]
+    assert tree(tmp_path) == ["study", "study/study.jsonl"]
 
 
 def test_a_lock_is_the_file_at_its_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
