@@ -139,11 +139,7 @@ class BeliefFields(eqx.Module):
         )
 
     def find_forbidden(self, belief: Belief) -> GridMask | None:
-        """Return the cells (H, W) that parts of the robot forbid to enter; None if none does.
-
-        Args:
-            belief: the belief.
-        """
+        """Return the cells (H, W) that parts of the robot forbid to enter; None if none does."""
         return self._closed_by_parts(belief.parts)
 
     def _closed_by_parts(self, states: Mapping[str, Any]) -> GridMask | None:
