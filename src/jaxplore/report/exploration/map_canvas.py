@@ -8,9 +8,8 @@ from PIL import Image, ImageDraw
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 from jaxplore.report.coverage_levels import at_instants
-from jaxplore.report.drawing.footer import EDGE, Entry, Footer, footer_height
-from jaxplore.report.drawing.palette import PAPER
-from jaxplore.report.drawing.picture import MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING
+from jaxplore.report.drawing.footer import EDGE, Entry, Footer
+from jaxplore.report.drawing.picture import MIN_MAP_SIDE, SUPERSAMPLING
 from jaxplore.report.exploration.mission import MissionData, MissionFrame
 from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.exploration.window import Window
@@ -26,15 +25,13 @@ type Curves = tuple[np.ndarray, np.ndarray, np.ndarray]
 class MapCanvas:
     """What is the same in every frame of a run on a map; a `Surface`.
 
-    `size` is the columns and rows of the map in the picture, and `width` that of the picture
-    [pixels]; `scale` is the supersampled pixels per metre, and `zoom` the scale of the picture.
-    `walls` are the window's true walls.
+    `size` is the columns and rows of the map in the picture [pixels]; `scale` is the supersampled
+    pixels per metre, and `zoom` the scale of the picture. `walls` are the window's true walls.
     """
 
     data: MissionData
     window: Window
     size: tuple[int, int]
-    width: int
     scale: float
     zoom: float
     walls: np.ndarray
@@ -65,11 +62,9 @@ class MapCanvas:
             (columns * SUPERSAMPLING, rows * SUPERSAMPLING), Image.Resampling.NEAREST
         )
         layers(ImageDraw.Draw(enlarged, "RGBA"))
-        footer = round(footer_height(self.width / self.zoom, len(legend)) * self.zoom)
-        image = Image.new("RGB", (self.width, rows + footer), PAPER)
-        image.paste(enlarged.reduce(SUPERSAMPLING), ((self.width - columns) // 2, 0))
-        _draw_footer(self, frame, Footer(image, self.zoom, legend))
-        return image
+        footer = Footer(enlarged, self.zoom, legend)
+        _draw_footer(self, frame, footer)
+        return footer.image
 
 
 def make_map_canvas(data: MissionData, curves: Curves, width: int, zoom: float) -> MapCanvas:
@@ -82,7 +77,6 @@ def make_map_canvas(data: MissionData, curves: Curves, width: int, zoom: float) 
         data,
         window,
         (columns, rows),
-        max(round(MIN_WIDTH * zoom), columns),
         scale * zoom * SUPERSAMPLING,
         zoom,
         window.crop(data.world, 0.5) > OCCUPIED_THRESHOLD,
