@@ -140,9 +140,9 @@ class BeliefFields(eqx.Module):
 
     def find_forbidden(self, belief: Belief) -> GridMask | None:
         """Return the cells (H, W) that parts of the robot forbid to enter; None if none does."""
-        return self._closed_by_parts(belief.parts)
+        return self._find_cells_closed_by_parts(belief.parts)
 
-    def _closed_by_parts(self, states: Mapping[str, Any]) -> GridMask | None:
+    def _find_cells_closed_by_parts(self, states: Mapping[str, Any]) -> GridMask | None:
         """Return the cells (H, W) that parts forbid to enter; None if none does."""
         given = [part.closed_cells(own) for part, own in self._list_active(states)]
         masks = [each for each in given if each is not None]
@@ -163,7 +163,7 @@ class BeliefFields(eqx.Module):
         self, grid: OccupancyGrid, states: Mapping[str, Any], before: InformationField | None
     ) -> InformationField:
         """Return the information field without what parts add to it beside their interest."""
-        prior, closed = self.occupancy_prior, self._closed_by_parts(states)
+        prior, closed = self.occupancy_prior, self._find_cells_closed_by_parts(states)
         if closed is not None:
             # What is unknown where the robot must not be counts as free, so it sees through it.
             is_ignored = closed & ~(grid.is_free | grid.is_occupied)
@@ -183,7 +183,7 @@ class BeliefFields(eqx.Module):
     ) -> GuidanceField | None:
         if not self.is_goal_apart or self.goal is None:
             return None
-        closed = self._closed_by_parts(states)
+        closed = self._find_cells_closed_by_parts(states)
         return self.way_to(self.goal, grid, pose, self.goal_heading, closed)
 
     def way_to(

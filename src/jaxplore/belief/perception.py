@@ -204,7 +204,7 @@ class Perception(BeliefFields):
         Args:
             grid: the map.
         """
-        return self._closed_by_parts({part.name: part.init(grid) for part in self.parts})
+        return self._find_cells_closed_by_parts({part.name: part.init(grid) for part in self.parts})
 
     def part[P: Part](self, kind: type[P]) -> P | None:
         """Return the part of a class; None without it.
@@ -398,7 +398,7 @@ class Perception(BeliefFields):
     ) -> GridMask:
         """Return the cells that may not be entered, of the whole map or of a window of it."""
         closed = find_closed_cells(grid, self.ground, window)
-        forbidden = self._closed_by_parts(states)
+        forbidden = self._find_cells_closed_by_parts(states)
         if forbidden is None:
             return closed
         return closed | (forbidden if window is None else window.read(forbidden))
