@@ -15,7 +15,6 @@ from jaxplore._files import replace_files
 from jaxplore._locks import (
     InUseError,
     lock,
-    open_hidden_container,
     open_hidden_file,
     put_folder,
     reserve_hidden_folder,
@@ -65,9 +64,6 @@ def test_what_a_killed_process_has_left_is_swept_and_what_is_alive_stays(tmp_pat
     left = tree(tmp_path)
     assert "moved" not in left
     assert sum(each.startswith(".jaxplore-") for each in left) >= 6
-    # A bag that was being written.
-    (tmp_path / ".jaxplore-ba9ba9ba9ba9").mkdir()
-    (tmp_path / ".jaxplore-ba9ba9ba9ba9" / ".jaxplore.lock").write_text("1\n")
     # Another user's, a link, and a name that is not of a lock.
     strange = [tmp_path / ".jaxplore-xyz.tmp", tmp_path / ".jaxplore-0123456789ab"]
     strange[0].write_text("1")
@@ -76,12 +72,10 @@ def test_what_a_killed_process_has_left_is_swept_and_what_is_alive_stays(tmp_pat
     with (
         reserve_hidden_folder(tmp_path / "alive") as hidden,
         open_hidden_file(tmp_path / "other") as file,
-        open_hidden_container(tmp_path / "bag") as container,
     ):
         hidden.mkdir()
         check_folder(tmp_path / "new")
         assert hidden.is_dir()
-        assert container.is_dir()
         assert file.is_file()
         assert is_reserved(tmp_path / "alive")
     assert (tmp_path / "moved" / "metrics.json").read_text() == "former"

@@ -4,6 +4,8 @@ import bz2
 import dataclasses
 import sqlite3
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -430,8 +432,13 @@ def test_a_bag_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
     def fail() -> None:
         with writer:
             writer.write("/cmd_vel", "Twist", plain(twist(0)), 1.0)
-            assert len(list(tmp_path.iterdir())) == 1
-            assert not (tmp_path / "drive").exists()
+            # A hidden folder and its lock.
+            assert len(list(tmp_path.glob(".jaxplore-*"))) == len(list(tmp_path.iterdir())) == 2
+            with (
+                pytest.raises(ValueError, match=r"^bag '.*drive' is in use by another process"),
+                BagWriter(tmp_path / "drive"),
+            ):
+                pass
             raise KeyError
 
     with pytest.raises(KeyError):
@@ -439,7 +446,15 @@ def test_a_bag_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
     with pytest.raises(ValueError, match="is not open"):
         writer.write("/cmd_vel", "Twist", plain(twist(0)), 1.0)
+    # What a process that was killed has left is removed by the next one that writes there.
+    killed = (
+        "import os, signal, sys\nfrom jaxplore.ros.bag_writer import BagWriter\n"
+        "with BagWriter(sys.argv[1]):\n    os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", killed, str(tmp_path / "killed")], check=False)
+    assert len(list(tmp_path.rglob("*.db3"))) == 1
     write_ours(tmp_path / "drive")
+    assert [each.name for each in tmp_path.iterdir()] == ["drive"]
     for place, reason in (
         ("drive", "which exists; accepted: the path of a new folder"),
         ("there/drive", "accepted: a folder in one that exists"),
