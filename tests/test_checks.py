@@ -1,11 +1,12 @@
 import math
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import DifferentialDrive, _checks, _kinds
+from jaxplore import DifferentialDrive, Dynamics, _checks, _kinds
 
 
 @pytest.mark.parametrize("value", [0, -3, 1.5, "2", None, True, math.nan])
@@ -108,6 +109,39 @@ def test_a_number_of_another_unit_is_warned_of() -> None:
     with pytest.warns(UserWarning, match=r"^yaw is -90; it is in radians$"):
         _checks.warn_above("yaw", -90.0, math.tau, "it is in radians")
     jax.jit(lambda yaw: _checks.warn_above("yaw", yaw, 1.0, "it is in radians"))(90.0)
+
+
+class Late:
+    pass
+
+
+@_kinds.check_arguments
+def of_kinds(
+    one: Dynamics | str,
+    many: Sequence[Dynamics] = (),
+    *,
+    later: "Late | None" = None,
+    number: float | None = None,
+    numbers: Sequence[float] | None = None,
+    anything: object = 1,
+) -> str:
+    return f"{one} {number}"
+
+
+def test_arguments_are_checked_by_annotations() -> None:
+    robot = DifferentialDrive()
+    assert of_kinds("a", [robot], later=Late(), number=2.0, numbers=np.ones(3)) == "a 2.0"
+    for given, words in (
+        ({"one": 3}, "one is 3; accepted: a Dynamics or a str"),
+        ({"one": "a", "many": robot}, "many is a DifferentialDrive; accepted: a list or tuple of"),
+        ({"one": "a", "many": [robot, 3]}, r"many\[1\] is 3; accepted: a Dynamics"),
+        ({"one": "a", "later": Late}, r"later is the class Late; accepted: an instance"),
+        ({"one": "a", "later": 2}, "later is 2; accepted: a Late or None"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            of_kinds(**given)
+    with pytest.raises(ValueError, match="many is 3"):
+        of_kinds("a", 3)
 
 
 def test_a_shape_is_accepted_as_it_is_and_lists_become_arrays() -> None:

@@ -15,7 +15,6 @@ from jaxplore._files import replace_files
 from jaxplore._locks import (
     InUseError,
     lock,
-    open_hidden_container,
     open_hidden_file,
     put_folder,
     reserve_hidden_folder,
@@ -65,9 +64,6 @@ def test_what_a_killed_process_has_left_is_swept_and_what_is_alive_stays(tmp_pat
     left = tree(tmp_path)
     assert "moved" not in left
     assert sum(each.startswith(".jaxplore-") for each in left) >= 6
-    # A bag that was being written.
-    (tmp_path / ".jaxplore-ba9ba9ba9ba9").mkdir()
-    (tmp_path / ".jaxplore-ba9ba9ba9ba9" / ".jaxplore.lock").write_text("1\n")
     # Another user's, a link, and a name that is not of a lock.
     strange = [tmp_path / ".jaxplore-xyz.tmp", tmp_path / ".jaxplore-0123456789ab"]
     strange[0].write_text("1")
@@ -76,12 +72,10 @@ def test_what_a_killed_process_has_left_is_swept_and_what_is_alive_stays(tmp_pat
     with (
         reserve_hidden_folder(tmp_path / "alive") as hidden,
         open_hidden_file(tmp_path / "other") as file,
-        open_hidden_container(tmp_path / "bag") as container,
     ):
         hidden.mkdir()
         check_folder(tmp_path / "new")
         assert hidden.is_dir()
-        assert container.is_dir()
         assert file.is_file()
         assert is_reserved(tmp_path / "alive")
     assert (tmp_path / "moved" / "metrics.json").read_text() == "former"
@@ -129,14 +123,14 @@ def test_a_folder_that_is_refused_keeps_no_lock(tmp_path: Path) -> None:
             raise RuntimeError
     assert tree(tmp_path) == []
     with lock_folder(tmp_path / "study", "study folder"):
-        (tmp_path / "study" / "study.db").touch()
+        (tmp_path / "study" / "study.jsonl").touch()
         with (
             pytest.raises(ValueError, match=r"study folder .* is in use by another process"),
             lock_folder(tmp_path / "study", "study folder"),
         ):
             pass
-        assert tree(tmp_path / "study") == [".jaxplore.lock", "study.db"]
-    assert tree(tmp_path) == ["study", "study/study.db"]
+        assert tree(tmp_path / "study") == [".jaxplore.lock", "study.jsonl"]
+    assert tree(tmp_path) == ["study", "study/study.jsonl"]
 
 
 def test_a_lock_is_the_file_at_its_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

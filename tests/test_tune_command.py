@@ -68,7 +68,7 @@ def test_it_writes_settings_tables_pictures_and_a_page(folder) -> None:
     out = folder / "out"
     names = {path.name for path in out.iterdir()} - {".lock"}
     assert names == {
-        *("study.db", "settings.yaml", "record.yaml", "trials.csv", "unseen.csv", "report.html"),
+        *("study.jsonl", "settings.yaml", "record.yaml", "trials.csv", "unseen.csv", "report.html"),
         *("before_after.gif", "convergence.png", "slices.png"),
     }
     trials = rows(out / "trials.csv")

@@ -37,9 +37,7 @@ SAID = {
         f"ValueError: controller is an ExplorationScenario; accepted: a Controller, {ORDER}"
     ),
     "swapped steps and scenario": f"ValueError: scenario is 1; accepted: a Scenario, {ORDER}",
-    "swapped lidar and robot": (
-        "ValueError: sensors is a DifferentialDrive; accepted: a Sensor, or a list of them"
-    ),
+    "swapped lidar and robot": "ValueError: robot is a Lidar; accepted: a Dynamics",
     "a class as sensor": (
         "ValueError: sensors is the class Lidar; accepted: an instance, such as Lidar()"
     ),

@@ -4,16 +4,22 @@ Each check raises a `ValueError` that names the argument, what it is and what is
 `jaxplore._checks` checks numbers and arrays.
 """
 
+import functools
 import inspect
-from typing import Any
+import types
+from collections.abc import Callable, Sequence
+from typing import Any, Union, get_args, get_origin
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import AbstractArray
 
 MOST_LETTERS = 60
 """Longest text of a value in a message."""
+_NUMBERS = (AbstractArray, Array, np.ndarray, bool, int, float)
+_ANYTHING = (object, type, list, tuple, Sequence, Callable)
 
 
 def is_traced(*values: object) -> bool:
@@ -40,7 +46,8 @@ def instance(
 ) -> None:
     """Raise a `ValueError` unless `value` is an instance of one of `kinds`.
 
-    None passes if `may_be_none`. `hint` is what else the message says of an accepted value.
+    None passes if `may_be_none`. `hint` is what else the message says of an accepted value; a class
+    may have its own, `accepted_hint`.
     """
     if isinstance(value, kinds) or (may_be_none and value is None):
         return
@@ -48,6 +55,7 @@ def instance(
         accepted = f"an instance, such as {value.__name__}()"
     else:
         names = [_with_article(kind.__name__) for kind in kinds] + ["None"] * may_be_none
+        hint = hint or getattr(kinds[0], "accepted_hint", "")
         accepted = " or ".join(names) + (f", {hint}" if hint else "")
     raise ValueError(f"{name} is {describe(value)}; accepted: {accepted}")
 
@@ -59,6 +67,56 @@ def instances(name: str, value: object, *kinds: type) -> None:
         raise ValueError(f"{name} is {describe(value)}; accepted: a list or tuple of {each}")
     for index, item in enumerate(value):
         instance(f"{name}[{index}]", item, *kinds)
+
+
+def check_arguments[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Check the arguments of a function, or of a constructor, by its annotations.
+
+    A class, a union of classes and None, and a `Sequence` of a class are checked as by `instance`
+    and `instances`. Numbers, texts, arrays and functions are left to `jaxplore._checks`.
+    """
+    names = list(inspect.signature(function).parameters)
+
+    @functools.cache
+    def find_checks() -> list[tuple[int, str, Callable[[str, object], None]]]:
+        # At the first call: an annotation may be a name that its module defines further below.
+        annotations = inspect.get_annotations(function, eval_str=True)
+        checks = ((at, name, _check_of(annotations.get(name))) for at, name in enumerate(names))
+        return [(at, name, check) for at, name, check in checks if check is not None]
+
+    @functools.wraps(function)
+    def check_and_call(*args: P.args, **kwargs: P.kwargs) -> R:
+        for at, name, check in find_checks():
+            if at < len(args):
+                check(name, args[at])
+            elif name in kwargs:
+                check(name, kwargs[name])
+        return function(*args, **kwargs)
+
+    return check_and_call
+
+
+def _check_of(annotation: Any) -> Callable[[str, object], None] | None:
+    is_many = get_origin(annotation) is Sequence
+    kinds, may_be_none = _kinds_of(get_args(annotation)[0] if is_many else annotation)
+    if not kinds or kinds == [str]:
+        return None
+    if is_many:
+        return lambda name, value: instances(name, value, *kinds)
+    return lambda name, value: instance(name, value, *kinds, may_be_none=may_be_none)
+
+
+def _kinds_of(annotation: Any) -> tuple[list[type], bool]:
+    """Return the classes of an annotation, none if it has others too, and whether it has None."""
+    if get_origin(annotation) in (types.UnionType, Union):
+        members = [each for each in get_args(annotation) if each is not types.NoneType]
+        found = [_kinds_of(each)[0] for each in members]
+        kinds = [kind for each in found for kind in each] if all(found) else []
+        return kinds, len(members) < len(get_args(annotation))
+    kind = get_origin(annotation) or annotation
+    if not isinstance(kind, type) or kind in _ANYTHING or issubclass(kind, _NUMBERS):
+        return [], False
+    return [] if getattr(kind, "_is_protocol", False) else [kind], False
 
 
 def function(name: str, value: object, accepted: str) -> None:

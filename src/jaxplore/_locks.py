@@ -35,7 +35,7 @@ OWN: Final = ".jaxplore.lock"
 """Lock of a folder whose files are added one by one, inside of it."""
 _PREFIX, _LOCK, _FORMER, _FILE = ".jaxplore-", ".lock", "-former", ".tmp"
 _DIGITS = 12
-_HIDDEN = re.compile(rf"{re.escape(_PREFIX)}([0-9a-f]{{{_DIGITS}}})({_LOCK}|{_FILE}|)")
+_HIDDEN = re.compile(rf"{re.escape(_PREFIX)}([0-9a-f]{{{_DIGITS}}})({_LOCK}|{_FILE})")
 _PATIENCE = 0.2
 """Time after which a lock that is held is another process's [s]."""
 _HELD = (errno.EAGAIN, errno.EACCES)
@@ -172,26 +172,6 @@ def open_hidden_file(target: Path) -> Iterator[Path]:
                     os.close(file)
 
 
-@contextmanager
-def open_hidden_container(target: Path) -> Iterator[Path]:
-    """Yield a hidden folder beside a target, with a lock inside; it is removed at the end.
-
-    What is made in it is moved to the target before.
-
-    Raises:
-        OSError: the parent cannot be written to.
-    """
-    sweep(target.parent)
-    container = target.with_name(_random())
-    container.mkdir()
-    try:
-        with lock(container / OWN):
-            yield container
-    finally:
-        with _signals.hold():
-            shutil.rmtree(container, ignore_errors=True)
-
-
 def sweep(folder: Path) -> None:
     """Remove the hidden files and folders in a folder that no living process holds.
 
@@ -206,9 +186,6 @@ def sweep(folder: Path) -> None:
         if found is None:
             continue
         path = folder / name
-        if not found[2]:
-            _sweep_container(path)
-            continue
         # What belongs to another user or is held stays.
         with contextlib.suppress(InUseError, OSError), _signals.hold():
             file, _ = _take(path)
@@ -218,16 +195,6 @@ def sweep(folder: Path) -> None:
                     _recover(path.with_suffix(""), folder / os.fsdecode(note))
             finally:
                 _drop(file, path)
-
-
-def _sweep_container(container: Path) -> None:
-    own = container / OWN
-    # A lock without text is one that is just being taken.
-    with contextlib.suppress(InUseError, OSError), _signals.hold():
-        if own.stat().st_size:
-            file, _ = _take(own)
-            shutil.rmtree(container, ignore_errors=True)
-            os.close(file)
 
 
 def _recover(hidden: Path, target: Path) -> None:

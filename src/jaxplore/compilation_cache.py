@@ -37,6 +37,7 @@ _NOISE = tuple(f"Error {what} persistent compilation cache" for what in ("readin
 the same entry, or the disk may be full, and then JAX compiles."""
 
 
+@_kinds.check_arguments
 def enable_compilation_cache(
     path: str | os.PathLike[str] | None = None, *, max_size: int = MAX_SIZE
 ) -> Path:
@@ -60,7 +61,6 @@ def enable_compilation_cache(
             be made; a size < 1.
     """
     _checks.positive_int("max_size", max_size)
-    _kinds.instance("path", path, str, os.PathLike, may_be_none=True)
     given = platformdirs.user_cache_path("jaxplore", appauthor=False) if path is None else path
     name = _folder_name(_processor(), os.environ.get("XLA_FLAGS", ""))
     try:

@@ -4,10 +4,8 @@ import functools
 import io
 import json
 import shutil
-import sqlite3
 import zipfile
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +28,7 @@ READERS: dict[str, list[list[str]]] = {
 """Commands that continue or show a folder of each kind."""
 FILES = {
     "run": ["metrics.json", "state.npz", "settings.yaml"],
-    "study": ["study.db", "settings.yaml", "record.yaml"],
+    "study": ["study.jsonl", "settings.yaml", "record.yaml"],
     "comparison": ["comparison.json", "results.parquet", "runs/*.parquet"],
     "bag": ["metadata.yaml", "bag.db3"],
 }
@@ -265,63 +263,52 @@ def _of_parquet() -> list[tuple[str, Callable[[Path], None]]]:
 
 
 def _of_study() -> list[tuple[str, Callable[[Path], None]]]:
-    """Return damages of the tables of a study: dropped, emptied, and with strange values."""
-    tables = (
-        *("studies", "trials", "trial_params", "trial_values", "study_directions"),
-        *("trial_user_attributes", "study_user_attributes", "study_system_attributes"),
-        *("version_info", "alembic_version"),
-    )
+    """Return damages of the lines of a study: left out by kind, and with strange values."""
     found: list[tuple[str, Callable[[Path], None]]] = []
 
-    def doing(*statements: str) -> Callable[[Path], None]:
+    def doing(change: Callable[[dict[str, Any]], list[Any]]) -> Callable[[Path], None]:
         def damage(folder: Path) -> None:
-            with closing(sqlite3.connect(folder / "study.db")) as database:
-                for each in statements:
-                    # A table that this version of Optuna does not have cannot be damaged.
-                    try:
-                        database.execute(each)
-                    except sqlite3.OperationalError as error:
-                        if "no such" not in str(error):
-                            raise
-                database.commit()
+            file = folder / "study.jsonl"
+            lines = [json.loads(line) for line in file.read_text().splitlines()]
+            changed = [json.dumps(new) for line in lines for new in change(line)]
+            file.write_text("".join(f"{line}\n" for line in changed))
 
         return damage
 
-    for table in tables:
-        found.append((f"no table {table}", doing(f"DROP TABLE {table}")))
-        found.append((f"an empty table {table}", doing(f"DELETE FROM {table}")))
-    for label, statement in {
-        "attributes that are no JSON": "UPDATE study_user_attributes SET value_json = '{'",
-        "attributes of a list": "UPDATE study_user_attributes SET value_json = '[1]'",
-        "attributes of nothing": "UPDATE study_user_attributes SET value_json = 'null'",
-        "deep attributes": f"UPDATE study_user_attributes SET value_json = '{'[' * 50_000}'",
-        "no JSON of trials": "UPDATE trial_user_attributes SET value_json = '{'",
-        "attributes of trials of a list": "UPDATE trial_user_attributes SET value_json = '[[1]]'",
-        "attributes of trials of nothing": "UPDATE trial_user_attributes SET value_json = 'null'",
-        "other names of attributes": (
-            "UPDATE trial_user_attributes SET key = 'x' || trial_user_attribute_id"
-        ),
-        "a strange state": "UPDATE trials SET state = 'FLYING'",
-        "a running trial": "UPDATE trials SET state = 'RUNNING'",
-        "a failed trial": "UPDATE trials SET state = 'FAIL'",
-        "a number of a trial of text": "UPDATE trials SET number = 'x'",
-        "equal numbers": "UPDATE trials SET number = 0",
-        "a time of text": "UPDATE trials SET datetime_start = 'yesterday'",
-        "a value of text": "UPDATE trial_values SET value = 'x'",
-        "a value of nothing": "UPDATE trial_values SET value = NULL",
-        "a value that is huge": "UPDATE trial_values SET value = 9e999",
-        "a type of value": "UPDATE trial_values SET value_type = 'WIDE'",
-        "a distribution of nothing": "UPDATE trial_params SET distribution_json = '{}'",
-        "a distribution of text": "UPDATE trial_params SET distribution_json = 'x'",
-        "a parameter of text": "UPDATE trial_params SET param_value = 'x'",
-        "another parameter": "UPDATE trial_params SET param_name = 'other'",
-        "a strange direction": "UPDATE study_directions SET direction = 'UP'",
-        "another direction": "UPDATE study_directions SET direction = 'MAXIMIZE'",
-        "another study": "UPDATE studies SET study_name = 'other'",
-        "a schema of the future": "UPDATE version_info SET schema_version = 9999",
-        "a version of the future": "UPDATE alembic_version SET version_num = 'v99'",
-        "a table of another": "CREATE TABLE other (x)",
-        "a column less": "ALTER TABLE trials DROP COLUMN datetime_complete",
-    }.items():
-        found.append((label, doing(statement)))
+    for operation in range(10):
+        found.append(
+            (
+                f"no operation {operation}",
+                doing(lambda line, o=operation: [line] * (line["op_code"] != o)),
+            )
+        )
+        found.append(
+            (
+                f"operation {operation} twice",
+                doing(lambda line, o=operation: [line] * (1 + (line["op_code"] == o))),
+            )
+        )
+    for name in (
+        *("op_code", "worker_id", "study_id", "trial_id", "study_name", "directions", "state"),
+        *("values", "value", "user_attr", "system_attr", "system_attrs", "param_name"),
+        *("param_value_internal", "distribution", "distributions", "params", "datetime_start"),
+        *("datetime_complete", "step", "intermediate_value"),
+    ):
+        for value in ("x", 9, None, [1]):
+
+            def strange(line: dict[str, Any], name: str = name, value: Any = value) -> list[Any]:
+                return [line | {name: value} if name in line else line]
+
+            found.append((f"{name} is {str(value)[:20]}", doing(strange)))
+        found.append(
+            (f"no {name}", doing(lambda line, n=name: [{k: v for k, v in line.items() if k != n}]))
+        )
+    found.append(("a deep line", lambda folder: _append(folder, "[" * 50_000)))
+    found.append(("a line of a list", lambda folder: _append(folder, "[1]")))
+    found.append(("half a line", lambda folder: _append(folder, '{"op_code": 4', end="")))
     return found
+
+
+def _append(folder: Path, text: str, end: str = "\n") -> None:
+    with (folder / "study.jsonl").open("a") as file:
+        file.write(text + end)

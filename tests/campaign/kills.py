@@ -5,10 +5,9 @@ import json
 import random
 import shutil
 import signal
-import sqlite3
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,24 +81,15 @@ def state_of_recording(folder: Path) -> State:
 
 
 def state_of_study(folder: Path) -> State:
-    """Return the finished trials of a study, whose database must be intact."""
-    file = folder / "study" / "study.db"
+    """Return the whole lines of a study, each of which must be readable."""
+    file = folder / "study" / "study.jsonl"
     if not file.exists():
         return {}
-    with closing(sqlite3.connect(file)) as database:
-        (answer,) = database.execute("PRAGMA integrity_check").fetchone()
-        if answer != "ok":
-            raise ValueError(answer)
-        trials = database.execute(
-            "SELECT number, datetime_complete FROM trials WHERE state = 'COMPLETE'"
-        ).fetchall()
-        values = database.execute("SELECT trial_id, value FROM trial_values").fetchall()
-    numbers = [number for number, _ in trials]
-    if len(set(numbers)) != len(numbers):
-        raise ValueError("a trial is there twice")
-    return {f"trial {n}": str(when) for n, when in trials} | {
-        f"value {i}": str(v) for i, v in values
-    }
+    # A kill may leave the beginning of the last line.
+    lines = file.read_bytes().split(b"\n")[:-1]
+    for line in lines:
+        json.loads(line)
+    return {f"line {number}": str(line) for number, line in enumerate(lines)}
 
 
 def state_of_comparison(folder: Path) -> State:

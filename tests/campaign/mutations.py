@@ -15,7 +15,7 @@ from .contents import VALUES, encoded
 PARTS = (
     *(b"\0", b"\xff" * 8, b"\x1b[31m", b"[/red]", b"-1", b"1e999", b"nan", b"null", b"&a ", b"*a"),
     *(b"\n", b"\t", b": ", b"- ", b"[", b"{", b"]", b"}", b'"', b"'", b"#", b"!!bool ", b"|", b"%"),
-    *(b"9" * 40, b"\x7f\xff\xff\xff", b"PK\3\4", b"\x89PNG", b"SQLite format 3\0", b"PAR1"),
+    *(b"9" * 40, b"\x7f\xff\xff\xff", b"PK\3\4", b"\x89PNG", b'{"op_code": ', b"PAR1"),
 )
 """Bytes that mean something in one of the formats."""
 
@@ -57,7 +57,7 @@ FORMATS = {
     "resumed": Format(
         "run/state.npz", ["run", "--resume", "run", "--time-limit", "9", "--overwrite"]
     ),
-    "study": Format("study/study.db", kept.LONGER_STUDY),
+    "study": Format("study/study.jsonl", kept.LONGER_STUDY),
     "plan": Format("comparison/comparison.json", kept.LONGER_COMPARISON),
     "row": Format("comparison/runs/*.parquet", kept.LONGER_COMPARISON),
     "bag": Format("bag/bag.db3", ["replay", "bag"]),

@@ -67,14 +67,14 @@ def _without_rights(path: Path) -> None:
 def _of_fifos(path: Path) -> None:
     """Make a folder in which the files of a run, a study, a comparison and a map are pipes."""
     path.mkdir()
-    names = ("metrics.json", "state.npz", "settings.yaml", "study.db", "comparison.json")
+    names = ("metrics.json", "state.npz", "settings.yaml", "study.jsonl", "comparison.json")
     for name in (*names, "map.yaml", "starts.yaml", "metadata.yaml", ".lock"):
         os.mkfifo(path / name)
 
 
 def _of_folders(path: Path) -> None:
     """Make a folder in which these files are folders."""
-    names = ("metrics.json", "state.npz", "settings.yaml", "study.db", "comparison.json", "runs")
+    names = ("metrics.json", "state.npz", "settings.yaml", "study.jsonl", "comparison.json", "runs")
     for name in (*names, "map.yaml", "starts.yaml", "metadata.yaml", ".lock"):
         (path / name).mkdir(parents=True)
 

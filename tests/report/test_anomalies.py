@@ -83,7 +83,7 @@ def test_the_map_shows_what_was_found_and_what_was_not(patrol) -> None:
 
 
 def test_a_frame_has_a_star_until_the_report_and_a_ring_after_it(patrol) -> None:
-    height = make_canvas(patrol, WIDTH, 1.0).map_size[1]
+    height = make_canvas(patrol, WIDTH, 1.0).map.size[1]
 
     def marked(time: float) -> np.ndarray:
         frame = dataclasses.replace(patrol.frames[-1], time=time)

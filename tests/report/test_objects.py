@@ -88,7 +88,7 @@ def test_the_map_shows_what_each_object_is_taken_for(search) -> None:
 
 
 def test_a_frame_has_badges_and_crosses_out_false_reports_from_then_on(search) -> None:
-    height = make_canvas(search, WIDTH, 1.0).map_size[1]
+    height = make_canvas(search, WIDTH, 1.0).map.size[1]
 
     def drawn(time: float, **changes: object) -> np.ndarray:
         frame = dataclasses.replace(search.frames[-1], time=time, **changes)

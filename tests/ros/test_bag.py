@@ -1,8 +1,11 @@
 """Bags: ours read by rosbags itself, its own read by us, and what is refused."""
 
+import bz2
 import dataclasses
 import sqlite3
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +23,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from jaxplore.ros import bag
 from jaxplore.ros.bag import bag_topics, choose_topic, read_bag
 from jaxplore.ros.bag_writer import BagWriter
-from jaxplore.ros.unpacked import check_chunks, check_records, lz4_bound, zstd_bound
+from jaxplore.ros.unpacked import _check_unpacked, check_chunks, check_records
 
 STORE = get_typestore(Stores.LATEST)
 TYPES = STORE.types
@@ -299,13 +302,13 @@ def test_a_few_bytes_of_ros1_that_stand_for_many_are_refused(tmp_path: Path) -> 
             writer.write(added, 5, message)
         assert file.stat().st_size < 100_000
         check_records(file, 2**23)
-        with pytest.raises(ValueError, match="a chunk may have more than 1000000 bytes unpacked"):
+        with pytest.raises(ValueError, match="a chunk has more than 1000000 bytes unpacked"):
             check_records(file, 1_000_000)
         # A chunk may say less than it holds.
         data = file.read_bytes()
         at = data.index(b"size=") + 5
         file.write_bytes(data[:at] + struct.pack("<I", 10) + data[at + 4 :])
-        with pytest.raises(ValueError, match="a chunk may have more than 1000000 bytes unpacked"):
+        with pytest.raises(ValueError, match="a chunk has more than 1000000 bytes unpacked"):
             check_records(file, 1_000_000)
 
 
@@ -429,8 +432,13 @@ def test_a_bag_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
     def fail() -> None:
         with writer:
             writer.write("/cmd_vel", "Twist", plain(twist(0)), 1.0)
-            assert len(list(tmp_path.iterdir())) == 1
-            assert not (tmp_path / "drive").exists()
+            # A hidden folder and its lock.
+            assert len(list(tmp_path.glob(".jaxplore-*"))) == len(list(tmp_path.iterdir())) == 2
+            with (
+                pytest.raises(ValueError, match=r"^bag '.*drive' is in use by another process"),
+                BagWriter(tmp_path / "drive"),
+            ):
+                pass
             raise KeyError
 
     with pytest.raises(KeyError):
@@ -438,7 +446,15 @@ def test_a_bag_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
     with pytest.raises(ValueError, match="is not open"):
         writer.write("/cmd_vel", "Twist", plain(twist(0)), 1.0)
+    # What a process that was killed has left is removed by the next one that writes there.
+    killed = (
+        "import os, signal, sys\nfrom jaxplore.ros.bag_writer import BagWriter\n"
+        "with BagWriter(sys.argv[1]):\n    os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", killed, str(tmp_path / "killed")], check=False)
+    assert len(list(tmp_path.rglob("*.db3"))) == 1
     write_ours(tmp_path / "drive")
+    assert [each.name for each in tmp_path.iterdir()] == ["drive"]
     for place, reason in (
         ("drive", "which exists; accepted: the path of a new folder"),
         ("there/drive", "accepted: a folder in one that exists"),
@@ -480,17 +496,26 @@ def test_messages_of_other_types_are_one_line(tmp_path: Path) -> None:
     }
 
 
-def test_a_bound_of_the_unpacked_size_holds_for_every_way_to_pack() -> None:
+def test_the_unpacked_size_is_limited_to_the_byte_for_every_way_to_pack() -> None:
     rng = np.random.default_rng(0)
-    for data in (b"", rng.bytes(300_000), bytes(1_000_000), b"abc" * 100_000):
+    skippable = struct.pack("<II", 0x184D2A50, 3) + b"abc"
+    for data in (rng.bytes(300_000), bytes(3_000_000), b"abc" * 100_000):
+        packed = [("bz2", bz2.compress(data, 9))]
         for level in (1, 19):
             for given in ({}, {"write_checksum": True, "write_content_size": False}):
-                packed = zstandard.ZstdCompressor(level=level, **given).compress(data)
-                assert 2 * len(data) <= zstd_bound(2 * packed) <= 2 * len(data) + 2**19
+                compress = zstandard.ZstdCompressor(level=level, **given).compress
+                packed.append(("zstd", compress(data) + skippable))
         for size in (4, 7):
             for given in ({}, {"content_checksum": True, "block_checksum": True}):
-                packed = lz4.frame.compress(data, block_size=size, store_size=False, **given)
-                assert 2 * len(data) <= lz4_bound(2 * packed) <= 2 * len(data) + 2**23
+                frame = lz4.frame.compress(data, block_size=size, store_size=False, **given)
+                packed.append(("lz4", frame + skippable))
+        for name, one in packed:
+            # Several streams may follow each other.
+            _check_unpacked(name, 2 * one, 2 * len(data))
+            with pytest.raises(ValueError, match=f"more than {2 * len(data) - 1} bytes unpacked"):
+                _check_unpacked(name, 2 * one, 2 * len(data) - 1)
+            with pytest.raises(ValueError, match=f"a chunk of {name} is cut off"):
+                _check_unpacked(name, one[: len(one) // 2], 2 * len(data))
 
 
 def test_a_few_bytes_that_stand_for_many_are_refused(
@@ -520,5 +545,5 @@ def test_a_few_bytes_that_stand_for_many_are_refused(
     with pytest.raises(ValueError, match="more than 1000000 bytes unpacked"):
         check_chunks(file, 1_000_000)
     monkeypatch.setattr(bag, "check_chunks", lambda path: check_chunks(path, 1_000_000))
-    with pytest.raises(ValueError, match="a chunk may have more than"):
+    with pytest.raises(ValueError, match="a chunk has more than"):
         bag_topics(folder)

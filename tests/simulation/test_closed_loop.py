@@ -309,7 +309,7 @@ def test_a_run_without_rollouts_is_the_same_and_does_not_look_into_the_controlle
         assert len(without.plan) == len(without.samples) == len(without.weights) == 0
     # It can still be drawn. This plan stays where the robot is, so that the maps are the same; the
     # legends below them differ.
-    rows = make_canvas(seen, 320, 1.0).map_size[1]
+    rows = make_canvas(seen, 320, 1.0).map.size[1]
     drawn = [np.asarray(frame_image(each, each.frames[-1], width=320)) for each in (seen, unseen)]
     np.testing.assert_array_equal(*(each[:rows] for each in drawn))
     with pytest.raises(ValueError, match="num_trajectories is -1; accepted: a whole number >= 0"):

@@ -236,15 +236,15 @@ def test_an_episode_is_given_up_after_twice_the_best_duration() -> None:
     assert any(each.state == "given up" for each in trials[8:])
 
 
-def test_a_database_that_fails_during_the_search_is_one_line(episodes, tmp_path) -> None:
+def test_a_file_that_fails_during_the_search_is_one_line(episodes, tmp_path) -> None:
     def run() -> None:
         with open_study(search(), episodes, tmp_path) as study:
-            (tmp_path / "study.db").write_bytes(b"SQLite format 3\0" + bytes(5000))
+            (tmp_path / "study.jsonl").write_bytes(b"{" + bytes(5000))
             study.run(2)
 
-    with pytest.raises(ValueError, match=r"study '.*study.db' cannot be read or written: .*"):
+    with pytest.raises(ValueError, match=r"study '.*study.jsonl' cannot be written: another .*"):
         run()
-    assert [each.name for each in tmp_path.iterdir()] == ["study.db"]
+    assert [each.name for each in tmp_path.iterdir()] == ["study.jsonl"]
 
 
 def test_a_study_of_something_else_is_refused(episodes, tmp_path) -> None:
@@ -272,9 +272,9 @@ def test_a_study_of_something_else_is_refused(episodes, tmp_path) -> None:
             open_study(search(), episodes, folder),
         ):
             pass
-    (folder / "study.db").write_bytes(b"no database")
+    (folder / "study.jsonl").write_bytes(b"no database")
     with (
-        pytest.raises(ValueError, match=r"study\.db' cannot be read: \w+; accepted: a study of"),
+        pytest.raises(ValueError, match=r"study\.jsonl' cannot be read: \w+; accepted: a study of"),
         open_study(search(), episodes, folder),
     ):
         pass

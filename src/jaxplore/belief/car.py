@@ -59,6 +59,7 @@ class CarMotion(eqx.Module):
     reverse_penalty: Scalar
     can_reverse: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         turning_radius: ArrayLike,
@@ -68,7 +69,6 @@ class CarMotion(eqx.Module):
         reversal_cost: ArrayLike = 1.0,
         reverse_penalty: ArrayLike = REVERSE_PENALTY,
     ) -> None:
-        _kinds.instance("footprint", footprint, Footprint)
         self.turning_radius = _checks.scalar("turning_radius", turning_radius, above=0.0)
         self.footprint = footprint
         self.reversal_cost = _checks.scalar("reversal_cost", reversal_cost, at_least=0.0)

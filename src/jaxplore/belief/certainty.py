@@ -52,6 +52,7 @@ class CertaintyField(eqx.Module):
     extent: float = eqx.field(static=True)
     spacing: float = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         sensor: Beams,
@@ -62,7 +63,6 @@ class CertaintyField(eqx.Module):
         spacing: float = 0.4,
         std: ArrayLike = 0.05,
     ) -> None:
-        _kinds.instance("sensor", sensor, Beams)
         # Beams per direction, as if the field of view were the whole circle.
         self.num_beams = 2.0 * np.pi / sensor.beam_spacing
         self.max_range = sensor.max_range

@@ -69,6 +69,7 @@ class BeliefFields(eqx.Module):
         """
         return self.update_guidance(self.update_information(belief), pose, elapsed)
 
+    @_kinds.check_arguments
     def update_information(self, belief: Belief) -> Belief:
         """Return the belief with the information field of its map; see `update_fields`.
 
@@ -78,7 +79,6 @@ class BeliefFields(eqx.Module):
         Raises:
             ValueError: something else than a belief.
         """
-        _kinds.instance("belief", belief, Belief)
         # What parts add is in the last field, and an update would keep it.
         is_added = any(part.adds_information for part, _ in self._list_active(belief.parts))
         before = None if is_added else belief.information
@@ -93,6 +93,7 @@ class BeliefFields(eqx.Module):
             dwell = jnp.where(belief.gain.since >= self.memory, left, dwell)
         return dataclasses.replace(belief, information=information, dwell=dwell)
 
+    @_kinds.check_arguments
     def update_guidance(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Return the belief with the fields that follow from its information; see `update_fields`.
 
@@ -104,7 +105,6 @@ class BeliefFields(eqx.Module):
         Raises:
             ValueError: an argument of another kind or shape.
         """
-        _kinds.instance("belief", belief, Belief)
         pose = _checks.pose("pose", pose)
         _checks.of_shape("elapsed", elapsed, ())
         information = belief.information
@@ -188,14 +188,10 @@ class BeliefFields(eqx.Module):
         return jnp.where(errand.is_due, errand.place, self.goal)
 
     def find_forbidden(self, belief: Belief) -> GridMask | None:
-        """Return the cells (H, W) that parts of the robot forbid to enter; None if none does.
+        """Return the cells (H, W) that parts of the robot forbid to enter; None if none does."""
+        return self._find_cells_closed_by_parts(belief.parts)
 
-        Args:
-            belief: the belief.
-        """
-        return self._closed_by_parts(belief.parts)
-
-    def _closed_by_parts(self, states: Mapping[str, Any]) -> GridMask | None:
+    def _find_cells_closed_by_parts(self, states: Mapping[str, Any]) -> GridMask | None:
         """Return the cells (H, W) that parts forbid to enter; None if none does."""
         given = [part.closed_cells(own) for part, own in self._list_active(states)]
         masks = [each for each in given if each is not None]
@@ -216,7 +212,7 @@ class BeliefFields(eqx.Module):
         self, grid: OccupancyGrid, states: Mapping[str, Any], before: InformationField | None
     ) -> InformationField:
         """Return the information field without what parts add to it beside their interest."""
-        prior, closed = self.occupancy_prior, self._closed_by_parts(states)
+        prior, closed = self.occupancy_prior, self._find_cells_closed_by_parts(states)
         if closed is not None:
             # What is unknown where the robot must not be counts as free, so it sees through it.
             is_ignored = closed & ~(grid.is_free | grid.is_occupied)
@@ -236,7 +232,7 @@ class BeliefFields(eqx.Module):
     ) -> GuidanceField | None:
         if not self.is_goal_apart or self.goal is None:
             return None
-        closed = self._closed_by_parts(states)
+        closed = self._find_cells_closed_by_parts(states)
         return self.way_to(self.goal, grid, pose, self.goal_heading, closed)
 
     def way_to(

@@ -82,6 +82,7 @@ class Obstacles(eqx.Module):
     memory: Scalar
     plans: Plans | None
 
+    @_kinds.check_arguments
     def __init__(
         self,
         outlines: Outlines,
@@ -98,8 +99,6 @@ class Obstacles(eqx.Module):
         memory: ArrayLike = 3.0,
         plans: Plans | None = None,
     ) -> None:
-        _kinds.instance("outlines", outlines, Outlines)
-        _kinds.instance("plans", plans, Plans, may_be_none=True)
         number = outlines.number
         rows: dict[str, Any] = {"may_be_empty": number == 0}
         self.outlines = outlines

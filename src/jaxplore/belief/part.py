@@ -200,6 +200,7 @@ class Part(eqx.Module):
         return type(self).add_information is not Part.add_information
 
 
+@_kinds.check_arguments
 def as_parts(
     parts: Sequence[Part], sensors: Sequence[Sensor], ground: Ground | None
 ) -> tuple[Part, ...]:
@@ -211,7 +212,6 @@ def as_parts(
     """
     if not isinstance(parts, (list, tuple)):
         _kinds.instance("parts", parts, list, tuple)
-    _kinds.instances("parts", parts, Part)
     names: list[str] = []
     for index, each in enumerate(parts):
         if each.name in names:

@@ -115,6 +115,7 @@ class Perception(BeliefFields):
     gives_up: bool = eqx.field(static=True)
     tracker: ObstacleTracker | None
 
+    @_kinds.check_arguments
     def __init__(
         self,
         sensors: Sensor | Sequence[Sensor],
@@ -143,10 +144,7 @@ class Perception(BeliefFields):
         tracker: ObstacleTracker | None = None,
     ) -> None:
         _kinds.flag("is_localising", is_localising)
-        _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
-        _kinds.instance("ground", ground, Ground, may_be_none=True)
         _kinds.flag("is_goal_apart", is_goal_apart)
-        _kinds.instance("car", car, CarMotion, may_be_none=True)
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
         self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
@@ -193,7 +191,6 @@ class Perception(BeliefFields):
             raise ValueError("goal is None; accepted: a position, for a goal apart")
         self.is_goal_apart = is_goal_apart
         self.is_batched = False
-        _kinds.instance("tracker", tracker, ObstacleTracker, may_be_none=True)
         if tracker is not None and ground is not None:
             raise ValueError("tracker is given beside a ground; accepted: one of them")
         self.tracker = tracker
@@ -207,7 +204,7 @@ class Perception(BeliefFields):
         Args:
             grid: the map.
         """
-        return self._closed_by_parts({part.name: part.init(grid) for part in self.parts})
+        return self._find_cells_closed_by_parts({part.name: part.init(grid) for part in self.parts})
 
     def part[P: Part](self, kind: type[P]) -> P | None:
         """Return the part of a class; None without it.
@@ -233,6 +230,7 @@ class Perception(BeliefFields):
         """
         return with_field(self, "is_batched", True)
 
+    @_kinds.check_arguments
     def init(self, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief before the first scan, with the cells under the robot free.
 
@@ -243,7 +241,6 @@ class Perception(BeliefFields):
         Raises:
             ValueError: something else than a grid or a pose.
         """
-        _kinds.instance("grid", grid, OccupancyGrid)
         pose = _checks.pose("pose", pose)
         grid = self.free_below_robot(grid, pose)
         begun = {part.name: part.init(grid) for part in self.parts}
@@ -317,6 +314,7 @@ class Perception(BeliefFields):
         information = self._information(changed, None)
         return self._derive_fields(changed, information, belief.dwell, pose)
 
+    @_kinds.check_arguments
     def observe(
         self,
         belief: Belief,
@@ -344,7 +342,6 @@ class Perception(BeliefFields):
             ValueError: another number of scans than there are sensors, an argument of another kind
                 or shape.
         """
-        _kinds.instance("belief", belief, Belief)
         pose = _checks.pose("pose", pose)
         _checks.of_shape("elapsed", elapsed, ())
         if time is not None:
@@ -413,7 +410,7 @@ class Perception(BeliefFields):
     ) -> GridMask:
         """Return the cells that may not be entered, of the whole map or of a window of it."""
         closed = find_closed_cells(grid, self.ground, window)
-        forbidden = self._closed_by_parts(states)
+        forbidden = self._find_cells_closed_by_parts(states)
         if forbidden is None:
             return closed
         return closed | (forbidden if window is None else window.read(forbidden))

@@ -92,6 +92,7 @@ class VolumePerception(eqx.Module):
     extent: int = eqx.field(static=True)
     extents: tuple[float, float, float] | None = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         sensors: Sequence[VolumeSensor],
@@ -116,7 +117,6 @@ class VolumePerception(eqx.Module):
             _kinds.instance("sensors", each, VolumeSensor)
         if not sensors:
             raise ValueError("sensors is empty; accepted: one sensor or more")
-        _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
         self.sensors = tuple(sensors)
         self.sensor_model = InverseSensorModel() if sensor_model is None else sensor_model
         self.required = _checks.scalar("radius", radius, above=0.0) + _checks.scalar(

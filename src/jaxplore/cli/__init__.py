@@ -174,8 +174,8 @@ def tune(out: Path | None, **options: Any) -> None:
       jaxplore tune warehouse --tune portfolio.temperature --budget 30min --workers 2
       jaxplore tune path --tune cost.progress.weight --tune cost.comfort.weight --optimizer cma-es
 
-    Writes settings.yaml for jaxplore run --settings, a report with figures, tables, and study.db
-    for optuna-dashboard. Ctrl-C keeps finished episodes; the same command continues.
+    Writes settings.yaml for jaxplore run --settings, a report with figures, tables, and
+    study.jsonl for optuna-dashboard. Ctrl-C keeps finished episodes; the same command continues.
     """
     from jaxplore.cli._tune import run_tune
 

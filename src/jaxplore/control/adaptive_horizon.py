@@ -127,6 +127,7 @@ class AdaptiveHorizon(Controller):
     min_horizon: Scalar
     max_horizon: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self,
         controller: MPPI,
@@ -134,8 +135,6 @@ class AdaptiveHorizon(Controller):
         min_horizon: int,
         max_horizon: int | None = None,
     ) -> None:
-        _kinds.instance("controller", controller, MPPI)
-        _kinds.instance("rule", rule, HorizonRule)
         self.controller, self.rule = controller, rule
         length = controller.horizon
         most = length if max_horizon is None else max_horizon

@@ -41,10 +41,8 @@ class AugmentedProposal(Proposal):
     virtual: Proposal
     physical_size: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(self, model: Augmented, physical: Proposal, virtual: Proposal) -> None:
-        _kinds.instance("model", model, Augmented)
-        _kinds.instance("physical", physical, Proposal)
-        _kinds.instance("virtual", virtual, Proposal)
         self.physical = physical
         self.virtual = virtual
         self.physical_size = model.physical.control_size

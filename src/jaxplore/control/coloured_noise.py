@@ -32,8 +32,8 @@ class ColouredNoise(Noise):
     exponent: Scalar
     noise: Noise
 
+    @_kinds.check_arguments
     def __init__(self, exponent: ArrayLike = 1.0, noise: Noise | None = None) -> None:
-        _kinds.instance("noise", noise, Noise, may_be_none=True)
         self.exponent = _checks.scalar("exponent", exponent, at_least=0.0, at_most=4.0)
         self.noise = WhiteNoise() if noise is None else noise
 

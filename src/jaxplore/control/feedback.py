@@ -60,8 +60,8 @@ class FeedbackMPPI(Controller):
     planner: MPPI
     commands_per_plan: Count
 
+    @_kinds.check_arguments
     def __init__(self, planner: MPPI, commands_per_plan: int = 4) -> None:
-        _kinds.instance("planner", planner, MPPI)
         self.planner = planner
         self.commands_per_plan = jnp.asarray(
             _checks.positive_int("commands_per_plan", commands_per_plan), jnp.int32

@@ -70,9 +70,8 @@ class FleetController(Controller):
     formation: Formation
     share: Share
 
+    @_kinds.check_arguments
     def __init__(self, controllers: Sequence[Controller], formation: Formation) -> None:
-        _kinds.instances("controllers", controllers, Controller)
-        _kinds.instance("formation", formation, Formation)
         if len(controllers) != len(formation.robots):
             raise ValueError(
                 f"controllers has {len(controllers)} entries; accepted: "

@@ -152,6 +152,7 @@ class MotionGuard(eqx.Module):
     occlusion: OcclusionCost | None
     max_delay: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         max_frozen: ArrayLike = 0.05,
@@ -161,8 +162,6 @@ class MotionGuard(eqx.Module):
         max_age: ArrayLike = MAX_AGE,
         occlusion: OcclusionCost | None = None,
     ) -> None:
-        _kinds.instance("check", check, StopCheck, may_be_none=True)
-        _kinds.instance("occlusion", occlusion, OcclusionCost, may_be_none=True)
         self.max_frozen = _checks.scalar("max_frozen", max_frozen, above=0.0)
         self.max_age = _checks.scalar("max_age", max_age, above=0.0)
         self.max_delay = _checks.whole_number("max_delay", max_delay, at_least=0)

@@ -43,8 +43,8 @@ class Knots(Parameterisation):
     interpolation: Interpolation
     num_knots: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(self, num_knots: int, interpolation: Interpolation | None = None) -> None:
-        _kinds.instance("interpolation", interpolation, Interpolation, may_be_none=True)
         self.num_knots = _checks.positive_int("num_knots", num_knots)
         self.interpolation = CubicSpline() if interpolation is None else interpolation
 

@@ -95,6 +95,7 @@ class LatencyCompensation(Controller):
     control_period: Scalar
     num_pending: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         controller: Controller,
@@ -102,7 +103,6 @@ class LatencyCompensation(Controller):
         robot: Dynamics | None = None,
         control_period: ArrayLike | None = None,
     ) -> None:
-        _kinds.instance("controller", controller, Controller)
         self.controller = controller
         model = getattr(controller, "dynamics", None) if robot is None else robot
         _kinds.instance("robot", model, Dynamics)

@@ -71,6 +71,7 @@ class BiasedProposal(OuterProposal):
     fraction: Scalar
     likelihood_ratio: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         proposal: GaussianProposal,
@@ -79,7 +80,6 @@ class BiasedProposal(OuterProposal):
         *,
         likelihood_ratio: bool = True,
     ) -> None:
-        _kinds.instance("proposal", proposal, GaussianProposal)
         self.proposal = proposal
         self.reference = _control_sequences("reference", reference, 2)
         self.fraction = _checks.scalar("fraction", fraction, at_least=0.0, at_most=1.0)
@@ -155,6 +155,7 @@ class InjectedProposal(OuterProposal):
     null_action: bool = eqx.field(static=True)
     last_solution: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         proposal: Proposal,
@@ -163,7 +164,6 @@ class InjectedProposal(OuterProposal):
         null_action: bool = False,
         last_solution: bool = False,
     ) -> None:
-        _kinds.instance("proposal", proposal, Proposal)
         self.null_action = _kinds.flag("null_action", null_action)
         self.last_solution = _kinds.flag("last_solution", last_solution)
         if sequences is None and not (null_action or last_solution):

@@ -25,7 +25,7 @@ from jaxplore.control.risk import MeanVariance, Risk
 from jaxplore.control.rollout import Outcomes
 from jaxplore.control.smoothing import SavitzkyGolay
 from jaxplore.control.weighting import Softmax, Weighting, effective_sample_size
-from jaxplore.costs.base import Cost, check_cost
+from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics
 
 
@@ -99,6 +99,7 @@ class MPPI(ModelBasedController):
     interpolate_shift: bool = eqx.field(static=True)
     mesh: Mesh | None = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         dynamics: Dynamics,
@@ -120,15 +121,6 @@ class MPPI(ModelBasedController):
         interpolate_shift: bool = True,
         mesh: Mesh | None = None,
     ) -> None:
-        _kinds.instance("dynamics", dynamics, Dynamics)
-        check_cost("cost", cost)
-        _kinds.instance("proposal", proposal, Proposal, may_be_none=True)
-        _kinds.instance("parameterisation", parameterisation, Parameterisation, may_be_none=True)
-        _kinds.instance("weighting", weighting, Weighting, may_be_none=True)
-        _kinds.instance("smoothing", smoothing, SavitzkyGolay, may_be_none=True)
-        _kinds.instance("disturbance", disturbance, Disturbance, may_be_none=True)
-        _kinds.instance("risk", risk, Risk, may_be_none=True)
-        _kinds.instance("mesh", mesh, Mesh, may_be_none=True)
         if (proposal is None) == (noise_std is None):
             given = f"noise_std is {noise_std!r} and proposal is {proposal!r}"
             raise ValueError(f"{given}; accepted: one of them")

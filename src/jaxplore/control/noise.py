@@ -84,8 +84,8 @@ class AntitheticNoise(Noise):
 
     noise: Noise
 
+    @_kinds.check_arguments
     def __init__(self, noise: Noise | None = None) -> None:
-        _kinds.instance("noise", noise, Noise, may_be_none=True)
         self.noise = WhiteNoise() if noise is None else noise
 
     def draw(self, shape: Shape, *, key: Key) -> Samples:
@@ -126,8 +126,8 @@ class LogNormalNoise(Noise):
     spread: Scalar
     noise: Noise
 
+    @_kinds.check_arguments
     def __init__(self, spread: ArrayLike = 0.5, noise: Noise | None = None) -> None:
-        _kinds.instance("noise", noise, Noise, may_be_none=True)
         self.spread = _checks.scalar("spread", spread, at_least=0.0)
         self.noise = WhiteNoise() if noise is None else noise
 

@@ -145,6 +145,7 @@ class GaussianProposal(Proposal):
     noise: Noise
     adaptation: CovarianceAdaptation | None
 
+    @_kinds.check_arguments
     def __init__(
         self,
         noise_std: Vector | None = None,
@@ -154,8 +155,6 @@ class GaussianProposal(Proposal):
         noise: Noise | None = None,
         adaptation: CovarianceAdaptation | None = None,
     ) -> None:
-        _kinds.instance("noise", noise, Noise, may_be_none=True)
-        _kinds.instance("adaptation", adaptation, CovarianceAdaptation, may_be_none=True)
         if (noise_std is None) == (noise_covariance is None):
             raise ValueError(
                 f"noise_std is {noise_std!r} and noise_covariance is {noise_covariance!r}; "

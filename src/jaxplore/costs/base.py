@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,6 +22,11 @@ class Cost(eqx.Module):
     A cost is written for one rollout; the rollout engine maps it over samples. The stage cost is
     evaluated at the state that a control leads to. Weights are applied outside: `2.0 * A() + B()`.
     """
+
+    accepted_hint: ClassVar = (
+        "such as A() + 2.0 * B(), or an instance of your own subclass of jaxplore.Cost"
+    )
+    """What an error says of accepted values."""
 
     @abc.abstractmethod
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
@@ -89,16 +94,10 @@ class Cost(eqx.Module):
             super().__setattr__(name, value)
 
 
-def check_cost(name: str, value: object) -> None:
-    """Raise a `ValueError` unless `value` is a cost."""
-    hint = "such as A() + 2.0 * B(), or an instance of your own subclass of jaxplore.Cost"
-    _kinds.instance(name, value, Cost, hint=hint)
-
-
 def _check_summand(value: object) -> None:
     # Python's operators raise a `TypeError`.
     try:
-        check_cost("summand", value)
+        _kinds.instance("summand", value, Cost)
     except ValueError as error:
         raise TypeError(str(error)) from None
 
@@ -113,7 +112,7 @@ class WeightedCost(Cost):
         return f"{describe(self.weight)} * {_in_brackets(self.cost)}"
 
     def __check_init__(self) -> None:
-        check_cost("cost", self.cost)
+        _kinds.instance("cost", self.cost, Cost)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the weighted stage cost."""
@@ -198,8 +197,8 @@ class NamedCost(Cost):
     cost: Cost
     name: str = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(self, name: str, cost: Cost) -> None:
-        check_cost("cost", cost)
         if not isinstance(name, str) or not name.strip():
             raise ValueError(f"name is {name!r}; accepted: a text that is not empty")
         self.name = name

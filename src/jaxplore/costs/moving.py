@@ -90,6 +90,7 @@ class MovingObstacleCost(Cost):
     caution: Scalar | None
     nearest_only: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         obstacles: Obstacles | None = None,
@@ -102,7 +103,6 @@ class MovingObstacleCost(Cost):
         caution: ArrayLike | None = None,
         nearest_only: bool = False,
     ) -> None:
-        _kinds.instance("obstacles", obstacles, Obstacles, may_be_none=True)
         self.obstacles = obstacles
         self.nearness = _factor("nearness", nearness)
         self.clearance = (

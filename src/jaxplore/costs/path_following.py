@@ -213,6 +213,7 @@ class CorridorCost(Cost):
     scale: Scalar
     parameter: Extractor = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         path: Path,
@@ -220,7 +221,6 @@ class CorridorCost(Cost):
         scale: ArrayLike = 0.05,
         parameter: Extractor | None = None,
     ) -> None:
-        _kinds.instance("path", path, Path)
         if parameter is not None:
             _kinds.function("parameter", parameter, "a function of a State")
         if not path.has_room:

@@ -95,8 +95,8 @@ class StabilityCost(Cost):
     chassis: Chassis
     limit: Scalar
 
+    @_kinds.check_arguments
     def __init__(self, chassis: Chassis, limit: ArrayLike = 0.6) -> None:
-        _kinds.instance("chassis", chassis, Chassis)
         self.chassis = chassis
         self.limit = _checks.scalar("limit", limit, at_least=0.0, below=1.0)
 

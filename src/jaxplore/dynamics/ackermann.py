@@ -70,6 +70,7 @@ class Ackermann(ContinuousDynamics):
     integrator: Integrator
     limits: BrakingLimits | None
 
+    @_kinds.check_arguments
     def __init__(
         self,
         wheelbase: ArrayLike = 0.5,
@@ -83,8 +84,6 @@ class Ackermann(ContinuousDynamics):
         integrator: Integrator | None = None,
         max_deceleration: ArrayLike | None = None,
     ) -> None:
-        _kinds.instance("footprint", footprint, Footprint, may_be_none=True)
-        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.wheelbase = _checks.scalar("wheelbase", wheelbase, above=0.0)
         self.min_speed, self.max_speed = speed_range(min_speed, max_speed)
         self.max_steering = _checks.scalar(

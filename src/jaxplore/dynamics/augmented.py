@@ -29,9 +29,8 @@ class Augmented(Dynamics):
     physical: Dynamics
     virtual: Dynamics
 
+    @_kinds.check_arguments
     def __init__(self, physical: Dynamics, virtual: Dynamics) -> None:
-        _kinds.instance("physical", physical, Dynamics)
-        _kinds.instance("virtual", virtual, Dynamics)
         for kind in ("state_names", "control_names"):
             both = [name for name in getattr(physical, kind) if name in getattr(virtual, kind)]
             if both:

@@ -51,6 +51,7 @@ class DifferentialDrive(ContinuousDynamics):
     radius: Scalar
     integrator: Integrator
 
+    @_kinds.check_arguments
     def __init__(
         self,
         max_speed: ArrayLike = 1.0,
@@ -62,7 +63,6 @@ class DifferentialDrive(ContinuousDynamics):
         integrator: Integrator | None = None,
         max_deceleration: ArrayLike | None = None,
     ) -> None:
-        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.max_speed = _checks.scalar("max_speed", max_speed, above=0.0)
         self.max_turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
         # The robot drives forwards only, so the sign of a tells speeding up from braking.

@@ -30,8 +30,8 @@ class Formation(Dynamics):
 
     robots: tuple[Dynamics, ...]
 
+    @_kinds.check_arguments
     def __init__(self, robots: Sequence[Dynamics]) -> None:
-        _kinds.instances("robots", robots, Dynamics)
         if not len(robots):
             raise ValueError("robots is empty; accepted: at least one")
         self.robots = tuple(robots)

@@ -57,6 +57,7 @@ class KinematicBicycle(ContinuousDynamics):
     radius: Scalar
     integrator: Integrator
 
+    @_kinds.check_arguments
     def __init__(
         self,
         front_length: ArrayLike = 0.16,
@@ -68,7 +69,6 @@ class KinematicBicycle(ContinuousDynamics):
         radius: ArrayLike = 0.3,
         integrator: Integrator | None = None,
     ) -> None:
-        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.front_length = _checks.scalar("front_length", front_length, above=0.0)
         self.rear_length = _checks.scalar("rear_length", rear_length, above=0.0)
         self.min_speed, self.max_speed = speed_range(min_speed, max_speed)

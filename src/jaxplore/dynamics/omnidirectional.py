@@ -66,6 +66,7 @@ class Omnidirectional(ContinuousDynamics):
     integrator: Integrator
     limits: BrakingLimits | None
 
+    @_kinds.check_arguments
     def __init__(
         self,
         max_speed: ArrayLike = 1.0,
@@ -79,7 +80,6 @@ class Omnidirectional(ContinuousDynamics):
         min_speed: ArrayLike = 0.0,
         max_lateral_speed: ArrayLike | None = None,
     ) -> None:
-        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.min_speed, self.max_speed = speed_range(min_speed, max_speed)
         self.max_lateral_speed = (
             self.max_speed

@@ -50,6 +50,7 @@ class Pendulum(ContinuousDynamics):
     radius: Scalar
     integrator: Integrator
 
+    @_kinds.check_arguments
     def __init__(
         self,
         mass: ArrayLike = 1.0,
@@ -59,7 +60,6 @@ class Pendulum(ContinuousDynamics):
         max_rate: ArrayLike = 8.0,
         integrator: Integrator | None = None,
     ) -> None:
-        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.mass = _checks.scalar("mass", mass, above=0.0)
         self.length = _checks.scalar("length", length, above=0.0)
         self.gravity = _checks.scalar("gravity", gravity, above=0.0)

@@ -43,6 +43,7 @@ class PointMass(ContinuousDynamics):
     integrator: Integrator
     dimensions: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         dimensions: int = 2,
@@ -52,7 +53,6 @@ class PointMass(ContinuousDynamics):
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
     ) -> None:
-        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         if isinstance(dimensions, bool) or dimensions not in (1, 2, 3):
             raise ValueError(f"dimensions is {dimensions!r}; accepted: 1, 2 or 3")
         self.dimensions = int(dimensions)

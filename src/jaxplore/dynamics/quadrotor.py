@@ -65,6 +65,7 @@ class Quadrotor(ContinuousDynamics):
     radius: Scalar
     integrator: Integrator
 
+    @_kinds.check_arguments
     def __init__(
         self,
         mass: ArrayLike = 1.0,
@@ -75,7 +76,6 @@ class Quadrotor(ContinuousDynamics):
         radius: ArrayLike = 0.3,
         integrator: Integrator | None = None,
     ) -> None:
-        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.mass = _checks.scalar("mass", mass, above=0.0)
         self.gravity = _checks.scalar("gravity", gravity, above=0.0)
         self.rate_time_constant = _checks.scalar(

@@ -31,8 +31,8 @@ class PositionVariance(Dynamics):
     control_max: ControlVector
     radius: Scalar
 
+    @_kinds.check_arguments
     def __init__(self, certainty: ScalarField, added: ArrayLike, rate: ArrayLike) -> None:
-        _kinds.instance("certainty", certainty, ScalarField)
         self.certainty = certainty
         self.added = _checks.scalar("added", added, at_least=0.0)
         self.rate = _checks.scalar("rate", rate, above=0.0)

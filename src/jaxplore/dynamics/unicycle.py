@@ -42,6 +42,7 @@ class Unicycle(ContinuousDynamics):
     radius: Scalar
     integrator: Integrator
 
+    @_kinds.check_arguments
     def __init__(
         self,
         max_speed: ArrayLike = 1.0,
@@ -50,7 +51,6 @@ class Unicycle(ContinuousDynamics):
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
     ) -> None:
-        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         lowest, highest = speed_range(min_speed, max_speed)
         turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
         self.control_min = compute(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn_rate)

@@ -61,6 +61,7 @@ class EntropyFan(eqx.Module):
     decay_length: Scalar
     line_of_sight: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         lidar: Lidar,
@@ -69,7 +70,6 @@ class EntropyFan(eqx.Module):
         decay_length: ArrayLike | None = None,
         line_of_sight: bool = True,
     ) -> None:
-        _kinds.instance("lidar", lidar, Lidar)
         self.lidar = lidar
         self.num_ranges = _checks.positive_int("num_ranges", num_ranges)
         decay_length = lidar.max_range if decay_length is None else decay_length

@@ -79,6 +79,7 @@ class FieldSensor(eqx.Module):
     field_of_view: float = eqx.field(static=True)
     num_beams: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         lidar: Sensor,
@@ -91,8 +92,6 @@ class FieldSensor(eqx.Module):
         near_weight: bool = True,
         method: str | None = None,
     ) -> None:
-        _kinds.instance("lidar", lidar, Sensor)
-        _kinds.instance("noise", noise, RangeNoise, may_be_none=True)
         _kinds.flag("no_return", no_return)
         _kinds.flag("near_weight", near_weight)
         resolution = _checks.number("resolution", resolution, above=0.0)

@@ -53,6 +53,7 @@ class LocalFieldSensor(eqx.Module):
     num_nodes: int = eqx.field(static=True)
     spacing: float = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         pose: PoseInformation,
@@ -62,7 +63,6 @@ class LocalFieldSensor(eqx.Module):
         spacing: float = 0.5,
         num_headings: int = 8,
     ) -> None:
-        _kinds.instance("pose", pose, PoseInformation)
         resolution = _checks.number("resolution", resolution, above=0.0)
         spacing = _checks.number("spacing", spacing, above=0.0)
         extent = _checks.number("extent", extent, at_least=spacing)

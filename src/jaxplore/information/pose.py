@@ -13,7 +13,7 @@ from jaxplore._types import Position, Scalar
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.information.batches import over_poses
 from jaxplore.information.beam import contributions
-from jaxplore.information.gain import CellGains, CellSensor, IdealSensor, cell_gains, settle
+from jaxplore.information.gain import CellGains, CellSensor, cell_gains, settle
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -64,6 +64,7 @@ class PoseInformation(eqx.Module):
     no_return: bool = eqx.field(static=True)
     near_weight: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         lidar: Lidar,
@@ -73,9 +74,6 @@ class PoseInformation(eqx.Module):
         no_return: bool = True,
         near_weight: bool = True,
     ) -> None:
-        _kinds.instance("lidar", lidar, Lidar)
-        _kinds.instance("sensor", sensor, InverseSensorModel, IdealSensor, may_be_none=True)
-        _kinds.instance("noise", noise, RangeNoise, may_be_none=True)
         self.lidar = lidar
         self.sensor = InverseSensorModel() if sensor is None else sensor
         self.noise = noise

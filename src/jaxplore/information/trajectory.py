@@ -61,6 +61,7 @@ class TrajectoryInformation(eqx.Module):
     decay: Scalar
     discount: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self,
         pose: PoseInformation,
@@ -70,7 +71,6 @@ class TrajectoryInformation(eqx.Module):
         decay: ArrayLike = 0.7,
         discount: ArrayLike = 0.95,
     ) -> None:
-        _kinds.instance("pose", pose, PoseInformation)
         if method not in METHODS:
             raise ValueError(f"method is {method!r}; accepted: {', '.join(METHODS)}")
         self.pose = pose

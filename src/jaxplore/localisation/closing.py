@@ -85,6 +85,7 @@ class LoopCloser(eqx.Module):
     farthest: Scalar
     matcher: ScanMatcher
 
+    @_kinds.check_arguments
     def __init__(
         self,
         reach: ArrayLike = 4.0,
@@ -106,7 +107,6 @@ class LoopCloser(eqx.Module):
         self.tolerance = _checks.scalar("tolerance", tolerance, above=0.0)
         self.most_stds = _checks.scalar("most_stds", most_stds, above=0.0)
         self.farthest = _checks.scalar("farthest", farthest, at_least=0.0)
-        _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
         if matcher is None:
             matcher = ScanMatcher(steps=8, spacing=0.125, turn_spacing=0.03, iterations=10)
         self.matcher = matcher
@@ -130,6 +130,7 @@ class LoopCloser(eqx.Module):
         examined = self.find_loops(localiser, state, sensors)
         return self.optimise_poses(localiser, examined, sensors)
 
+    @_kinds.check_arguments
     def find_loops(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState:
@@ -137,7 +138,6 @@ class LoopCloser(eqx.Module):
 
         Arguments and errors are those of `close_loops`.
         """
-        _check(localiser, state, sensors)
         number, closures = int(state.scans.number), state.closures
         begin = int(closures.examined)
         if begin >= number:
@@ -225,6 +225,7 @@ class LoopCloser(eqx.Module):
         error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
         return bool(error @ np.linalg.solve(expected, error) <= float(self.most_stds) ** 2)
 
+    @_kinds.check_arguments
     def optimise_poses(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState | None:
@@ -232,7 +233,6 @@ class LoopCloser(eqx.Module):
 
         Arguments and errors are those of `close_loops`.
         """
-        _check(localiser, state, sensors)
         scans, closures = state.scans, state.closures
         number, loops = int(scans.number), int(closures.number)
         if not loops:
@@ -254,6 +254,7 @@ class LoopCloser(eqx.Module):
             jnp.asarray(best.covariance, jnp.float32),
         )
 
+    @_kinds.check_arguments
     def spreads(self, localiser: Localiser, state: LocaliserState) -> Float[Array, " K"]:
         """Return how exactly the robot knows its position as seen from old places (K,) [m].
 
@@ -268,8 +269,6 @@ class LoopCloser(eqx.Module):
         Raises:
             ValueError: an argument of another class; GTSAM is not installed.
         """
-        _kinds.instance("localiser", localiser, Localiser)
-        _kinds.instance("state", state, LocaliserState)
         scans, number = state.scans, int(state.scans.number)
         spreads = np.zeros(scans.capacity, np.float32)
         if number > 1:
@@ -295,12 +294,6 @@ def pose_graph(state: LocaliserState) -> Graph:
         np.asarray(closures.motions)[:loops],
         np.asarray(closures.covariances)[:loops],
     )
-
-
-def _check(localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]) -> None:
-    _kinds.instance("localiser", localiser, Localiser)
-    _kinds.instance("state", state, LocaliserState)
-    _kinds.instances("sensors", sensors, Beams)
 
 
 def _greatest_error(poses: np.ndarray, pairs: np.ndarray, wanted: np.ndarray) -> float:

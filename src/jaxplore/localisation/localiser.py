@@ -101,6 +101,7 @@ class Localiser(PoseEstimator):
     capacity: int = eqx.field(static=True)
     filling: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         odometry: OdometryModel | None = None,
@@ -113,8 +114,6 @@ class Localiser(PoseEstimator):
         filling: int = 1,
         noise: ArrayLike = USUAL_NOISE,
     ) -> None:
-        _kinds.instance("odometry", odometry, OdometryModel, may_be_none=True)
-        _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
         self.odometry = Odometry() if odometry is None else odometry
         self.matcher = ScanMatcher() if matcher is None else matcher
         self.spacing = _checks.scalar("spacing", spacing, above=0.0)
@@ -138,6 +137,7 @@ class Localiser(PoseEstimator):
         """Return the state at the start; see `init`, and `PoseEstimator.start`."""
         return self.init(pose, grid.frame, grid.shape, sensors)
 
+    @_kinds.check_arguments
     def init(
         self, pose: Pose, frame: GridFrame, shape: tuple[int, int], sensors: Sequence[Beams]
     ) -> LocaliserState:
@@ -153,9 +153,7 @@ class Localiser(PoseEstimator):
             ValueError: something else than a pose, a frame, a shape or sensors.
         """
         pose = _checks.pose("pose", pose)
-        _kinds.instance("frame", frame, GridFrame)
         shape = _checks.rows_and_columns("shape", shape)
-        _kinds.instances("sensors", sensors, Beams)
         nothing = jnp.zeros(())
         return LocaliserState(
             pose,
@@ -169,6 +167,7 @@ class Localiser(PoseEstimator):
             self.odometry.estimate(),
         )
 
+    @_kinds.check_arguments
     def predict(self, state: LocaliserState, motion: Pose, elapsed: Scalar) -> LocaliserState:
         """Return the state after a motion.
 
@@ -180,10 +179,10 @@ class Localiser(PoseEstimator):
         Raises:
             ValueError: something else than a state.
         """
-        _kinds.instance("state", state, LocaliserState)
         known = Reckoning(state.pose, state.covariance, state.errors, state.way)
         return state._replace(**self.odometry.predict(known, motion, elapsed)._asdict())
 
+    @_kinds.check_arguments
     def correct(
         self, state: LocaliserState, scans: Sequence[Scan], sensors: Sequence[Beams]
     ) -> LocaliserState:
@@ -197,9 +196,6 @@ class Localiser(PoseEstimator):
         Raises:
             ValueError: something else than a state, scans or sensors.
         """
-        _kinds.instance("state", state, LocaliserState)
-        _kinds.instances("scans", scans, Scan)
-        _kinds.instances("sensors", sensors, Beams)
         ends = self.end_points(scans[0], sensors[0])
         match = self.matcher(state.surface, ends, state.pose, state.covariance, state.way)
         number = jnp.sum(ends.is_point, dtype=jnp.float32)

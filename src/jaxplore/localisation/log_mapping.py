@@ -117,6 +117,7 @@ class LogMap(NamedTuple):
         return len(self.loops)
 
 
+@_kinds.check_arguments
 def map_log(
     log: LaserLog,
     *,
@@ -164,13 +165,10 @@ def map_log(
             1] m, a range that is not positive, a map of more than 40 million cells, a localiser
             without room for all scans; GTSAM is not installed.
     """
-    _kinds.instance("log", log, LaserLog)
     for name, given in (("odometry", odometry), ("drift", drift)):
         _kinds.instance(name, given, Odometry, may_be_none=True)
     if drift is not None or key is not None:
         _kinds.key("key", key)
-    _kinds.instance("localiser", localiser, Localiser, may_be_none=True)
-    _kinds.instance("closer", closer, LoopCloser, may_be_none=True)
     _kinds.function("on_progress", on_progress, "a function of two numbers")
     max_range = _checks.number("max_range", max_range, above=0.0, at_most=LONGEST_RANGE)
     sampling = Sampling.of(log, max_range)

@@ -158,6 +158,7 @@ class ParticleLocaliser(PoseEstimator):
     is_start_known: bool = eqx.field(static=True)
     capacity: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         filter: ParticleFilter | None = None,
@@ -170,7 +171,6 @@ class ParticleLocaliser(PoseEstimator):
         spacing: ArrayLike = 0.25,
         capacity: int = 4096,
     ) -> None:
-        _kinds.instance("filter", filter, ParticleFilter, may_be_none=True)
         self.filter = ParticleFilter() if filter is None else filter
         self.is_start_known = _kinds.flag("is_start_known", is_start_known)
         self.start_std = _checks.scalar("start_std", start_std, at_least=0.0)
@@ -230,12 +230,12 @@ class ParticleLocaliser(PoseEstimator):
             none,
         )
 
+    @_kinds.check_arguments
     def predict(self, state: ParticleState, motion: Pose, elapsed: Scalar) -> ParticleState:
         """Return the state after a motion; see `PoseEstimator.predict`.
 
         Particles move at the next scan: the odometry's variances do not depend on the rate.
         """
-        _kinds.instance("state", state, ParticleState)
         known = Reckoning(state.motion, state.covariance, state.errors, state.way)
         known = self.expected_odometry.predict(known, motion, elapsed)
         return state._replace(
@@ -246,13 +246,11 @@ class ParticleLocaliser(PoseEstimator):
             way=known.way,
         )
 
+    @_kinds.check_arguments
     def correct(
         self, state: ParticleState, scans: Sequence[Scan], sensors: Sequence[Beams]
     ) -> ParticleState:
         """Return the state after scans; see `PoseEstimator.correct`."""
-        _kinds.instance("state", state, ParticleState)
-        _kinds.instances("scans", scans, Scan)
-        _kinds.instances("sensors", sensors, Beams)
         keys = jax.random.split(jax.random.fold_in(state.key, state.number), 3)
         # What is estimated of the odometry's errors tells how exact this motion is.
         spread = None if state.errors is None else state.covariance

@@ -140,6 +140,7 @@ class ParticleFilter(eqx.Module):
     cluster_radius: Scalar
     cluster_angle: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self,
         odometry: OdometryModel | None = None,
@@ -156,7 +157,6 @@ class ParticleFilter(eqx.Module):
         cluster_radius: ArrayLike = 1.0,
         cluster_angle: ArrayLike = 0.5,
     ) -> None:
-        _kinds.instance("odometry", odometry, OdometryModel, may_be_none=True)
         self.odometry = Odometry() if odometry is None else odometry
         self.num_particles = _checks.positive_int(
             "num_particles", num_particles, at_most=MOST_SAMPLES
@@ -174,6 +174,7 @@ class ParticleFilter(eqx.Module):
         self.cluster_radius = _checks.scalar("cluster_radius", cluster_radius, above=0.0)
         self.cluster_angle = _checks.scalar("cluster_angle", cluster_angle, above=0.0)
 
+    @_kinds.check_arguments
     def likelihood_field(self, grid: OccupancyGrid) -> LikelihoodField:
         """Return a known map as the filter reads it.
 
@@ -183,7 +184,6 @@ class ParticleFilter(eqx.Module):
         Raises:
             ValueError: something else than an `OccupancyGrid`, or one without a free cell.
         """
-        _kinds.instance("grid", grid, OccupancyGrid)
         known = grid.probability
         # In NumPy: while something else is traced, JAX traces what is made of known arrays too.
         if not _kinds.is_traced(known) and not (np.asarray(known) < FREE_THRESHOLD).any():

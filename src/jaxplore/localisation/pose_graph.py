@@ -50,6 +50,7 @@ class Optimum(NamedTuple):
     error: float
 
 
+@_kinds.check_arguments
 def optimise(graph: Graph) -> Optimum:
     """Return the poses that minimise the squared errors of all motions and closed loops.
 
@@ -72,7 +73,6 @@ def optimise(graph: Graph) -> Optimum:
     Raises:
         ValueError: something else than a graph; GTSAM is not installed.
     """
-    _kinds.instance("graph", graph, Graph)
     library: Any = import_optional("gtsam", "slam")
     factors, start = _problem(library, graph, library.noiseModel.Constrained.All(3))
     found = library.LevenbergMarquardtOptimizer(factors, start).optimize()
@@ -88,6 +88,7 @@ def optimise(graph: Graph) -> Optimum:
     return Optimum(poses, covariance, float(factors.error(found)))
 
 
+@_kinds.check_arguments
 def motion_covariances(graph: Graph, nodes: Sequence[int], end: int) -> np.ndarray:
     """Return how exactly the motions b from some nodes to another one are known, (M, 3, 3).
 
@@ -103,7 +104,6 @@ def motion_covariances(graph: Graph, nodes: Sequence[int], end: int) -> np.ndarr
         ValueError: something else than a graph, an index that is not one of another node; GTSAM is
             not installed.
     """
-    _kinds.instance("graph", graph, Graph)
     number = len(graph.poses)
     if not 0 <= end < number:
         raise ValueError(f"end is {end}; accepted: from 0 to {number - 1}")
@@ -130,6 +130,7 @@ def motion_covariances(graph: Graph, nodes: Sequence[int], end: int) -> np.ndarr
     return np.array(covariances)
 
 
+@_kinds.check_arguments
 def expected_error(graph: Graph) -> float:
     """Return the error of the positions that is to be expected after a rigid alignment [m].
 
@@ -141,7 +142,6 @@ def expected_error(graph: Graph) -> float:
     The columns of A are the displacements of all M positions by a translation and by a turn.
     Without GTSAM, and for something else than a graph, it raises a `ValueError`.
     """
-    _kinds.instance("graph", graph, Graph)
     nodes = spread_evenly(len(graph.poses), MOST_NODES)
     if len(nodes) < 2:
         return 0.0

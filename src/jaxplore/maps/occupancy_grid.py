@@ -77,14 +77,15 @@ class OccupancyGrid(eqx.Module):
         return f"{text}, origin {describe(self.frame.origin)})"
 
     @classmethod
+    @_kinds.check_arguments
     def unknown(cls, shape: tuple[int, int], frame: GridFrame) -> "OccupancyGrid":
         """Return a grid in which every cell is unknown: 0.5 everywhere."""
-        _kinds.instance("frame", frame, GridFrame)
         rows, columns = _checks.rows_and_columns("shape", shape)
         filled = np.full((rows, columns), 0.5, np.float32)
         return cls(filled, frame.resolution, frame.origin)
 
     @classmethod
+    @_kinds.check_arguments
     def from_ros(
         cls,
         path: str | PathLike[str],
@@ -105,11 +106,10 @@ class OccupancyGrid(eqx.Module):
             unknown: grey from 0 to 255 that is read as unknown, whatever the thresholds say, such
                 as 205, which map savers write; none when absent.
         """
-        _kinds.instance("path", path, str, PathLike)
-        _kinds.instance("datum", datum, Datum)
         probability, resolution, origin = ros.read_map(path, rules=rules, unknown=unknown)
         return cls(probability, resolution, datum.to_local(origin))
 
+    @_kinds.check_arguments
     def to_ros(
         self, path: str | PathLike[str], *, mode: str = "trinary", datum: Datum = ORIGIN
     ) -> None:
@@ -120,8 +120,6 @@ class OccupancyGrid(eqx.Module):
             mode: "trinary", "scale" or "raw".
             datum: point of the map's coordinates to which the grid is relative.
         """
-        _kinds.instance("path", path, str, PathLike)
-        _kinds.instance("datum", datum, Datum)
         ros.write_map(
             path,
             self.crop(self.probability),

@@ -13,6 +13,7 @@ from jaxplore.maps.shapes import Shapes
 from jaxplore.maps.world import World
 
 
+@_kinds.check_arguments
 def relative_world(world: World, datum: Datum) -> World:
     """Return the same world with all its positions relative to a datum.
 
@@ -23,8 +24,6 @@ def relative_world(world: World, datum: Datum) -> World:
     Raises:
         ValueError: something else than a world and a datum.
     """
-    _kinds.instance("world", world, World)
-    _kinds.instance("datum", datum, Datum)
     if not datum:
         return world
 

@@ -77,6 +77,7 @@ class Pilot:
         ValueError: an argument of another class, a scenario with several sensors.
     """
 
+    @_kinds.check_arguments
     def __init__(
         self,
         scenario: ExplorationScenario,
@@ -87,10 +88,7 @@ class Pilot:
         localisation: Localisation | None = None,
         occlusion: OcclusionCost | None = None,
     ) -> None:
-        _kinds.instance("scenario", scenario, ExplorationScenario)
-        _kinds.instance("controller", controller, Controller)
         _kinds.key("key", key)
-        _kinds.instance("localisation", localisation, Localisation, may_be_none=True)
         if len(scenario.sensors) != 1:
             raise ValueError(
                 f"scenario has {len(scenario.sensors)} sensors; accepted: one, the lidar"

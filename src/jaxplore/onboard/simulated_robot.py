@@ -81,6 +81,7 @@ class SimulatedRobot:
             positive; a lidar of the scenario with a mount of its own.
     """
 
+    @_kinds.check_arguments
     def __init__(
         self,
         scenario: ExplorationScenario,
@@ -92,7 +93,6 @@ class SimulatedRobot:
         mount: Sequence[float] = (0.0, 0.0, 0.0),
         is_turning: bool = False,
     ) -> None:
-        _kinds.instance("scenario", scenario, ExplorationScenario)
         _kinds.key("key", key)
         first = scenario.sensors[0]
         if isinstance(first, Lidar) and first.mount is not None:

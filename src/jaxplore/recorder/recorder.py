@@ -63,10 +63,10 @@ class McapRecorder(Monitor):
             written, a missing `foxglove-sdk`.
     """
 
+    @_kinds.check_arguments
     def __init__(
         self, path: str | os.PathLike[str], *, overwrite: bool = False, began: float = 0.0
     ) -> None:
-        _kinds.instance("path", path, str, os.PathLike)
         _kinds.flag("overwrite", overwrite)
         self.path = check_recording(path, overwrite=overwrite)
         self.failure: str | None = None

@@ -39,10 +39,10 @@ class SwitchedRecorder(Monitor):
         ValueError: an argument of another type; a name with a slash; a negative time.
     """
 
+    @_kinds.check_arguments
     def __init__(
         self, folder: str | os.PathLike[str] = "runs", *, name: str = NAME, began: float = 0.0
     ) -> None:
-        _kinds.instance("folder", folder, str, os.PathLike)
         _kinds.instance("name", name, str)
         if not name or Path(name).name != name or "\0" in name:
             raise ValueError(f"name is {name!r}; accepted: the first part of a file name")

@@ -120,12 +120,26 @@ def _reserve(target: Path, overwrite: bool) -> Iterator[Path]:
     with ExitStack() as stack:
         with in_one_line("run folder", target):
             stack.callback(_remove_empty, _make_parents(target.parent))
-            try:
-                hidden = stack.enter_context(reserve_hidden_folder(target))
-            except InUseError as error:
-                raise ValueError(_in_use("run folder", target, error)) from None
+            hidden = stack.enter_context(hidden_folder(target, "run folder"))
         # The former run of a process that was killed may be back.
         _check_vacant(target, overwrite)
+        yield hidden
+
+
+@contextmanager
+def hidden_folder(target: Path, what: str) -> Iterator[Path]:
+    """Yield the path of a hidden folder beside `target`, which other processes cannot write then.
+
+    It does not exist yet, and is removed at the end. `what` is the name of the folder in messages.
+
+    Raises:
+        ValueError: another process writes the folder.
+    """
+    with ExitStack() as stack:
+        try:
+            hidden = stack.enter_context(reserve_hidden_folder(target))
+        except InUseError as error:
+            raise ValueError(_in_use(what, target, error)) from None
         yield hidden
 
 

@@ -126,6 +126,7 @@ def align(true: Rows, estimated: Rows) -> Alignment:
     return motion._replace(translation=p.mean(axis=0) - motion.apply(q.mean(axis=0)))
 
 
+@_kinds.check_arguments
 def absolute_error(
     true: Rows, estimated: Rows, alignment: Alignment | None = None
 ) -> AbsoluteError:
@@ -145,7 +146,6 @@ def absolute_error(
     Raises:
         ValueError: as of `align`.
     """
-    _kinds.instance("alignment", alignment, Alignment, may_be_none=True)
     p, q = _pair(true, estimated, (3,))
     motion = align(p, q) if alignment is None else alignment
     distance = np.hypot(*(motion.apply(q[:, :2]) - p[:, :2]).T)
@@ -326,12 +326,11 @@ def _pair(true: Rows, estimated: Rows, widths: tuple[int, ...]) -> tuple[_Floats
     return made[0], made[1]
 
 
+@_kinds.check_arguments
 def _check_maps(
     name: str, first: OccupancyGrid, belief: OccupancyGrid, alignment: Alignment | None
 ) -> None:
     _kinds.instance(name, first, OccupancyGrid)
-    _kinds.instance("belief", belief, OccupancyGrid)
-    _kinds.instance("alignment", alignment, Alignment, may_be_none=True)
     if belief.resolution != first.resolution:
         raise ValueError(
             f"belief has cells of {belief.resolution:g} m; accepted: {first.resolution:g} m, as "

@@ -84,6 +84,7 @@ class Localisation(eqx.Module):
     certainty: CertaintyField | None
     closing_rate: float = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         odometry: OdometryModel | None = None,
@@ -94,16 +95,12 @@ class Localisation(eqx.Module):
         most_uncertainty: ArrayLike | None = None,
         certainty: CertaintyField | None = None,
     ) -> None:
-        _kinds.instance("odometry", odometry, OdometryModel, may_be_none=True)
-        _kinds.instance("localiser", localiser, PoseEstimator, may_be_none=True)
-        _kinds.instance("closer", closer, LoopCloser, may_be_none=True)
         if localiser is None:
             localiser = Localiser(odometry)
         self.localiser = localiser
         self.odometry = localiser.expected_odometry if odometry is None else odometry
         self.closer = closer
         self.closing_rate = _checks.number("closing_rate", closing_rate, above=0.0)
-        _kinds.instance("certainty", certainty, CertaintyField, may_be_none=True)
         self.most_uncertainty, self.certainty = None, certainty
         for name, given in (("closer", closer), ("most_uncertainty", most_uncertainty)):
             if given is not None and not isinstance(localiser, Localiser):

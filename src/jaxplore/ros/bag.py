@@ -190,9 +190,9 @@ def _digest(store: Any, name: str) -> str:
 
 
 @contextmanager
+@_kinds.check_arguments
 def _open_bag(path: str | os.PathLike[str], *, is_checked: bool = False) -> Iterator[Any]:
     """Yield an open reader of a bag, whose files are checked unless they have been."""
-    _kinds.instance("path", path, str, os.PathLike)
     version = 1 if _is_ros1(Path(path)) else 2
     module: Any = import_optional(f"rosbags.rosbag{version}", EXTRA)
     if not is_checked:

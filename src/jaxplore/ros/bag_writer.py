@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from jaxplore import _checks, _kinds
-from jaxplore._locks import open_hidden_container
 from jaxplore._optional import import_optional
 from jaxplore._text import error_reason, printable_path, short_repr
-from jaxplore.report.folder import in_one_line
+from jaxplore.report.folder import hidden_folder, in_one_line
 from jaxplore.ros.bag import EXTRA, KINDS, typestore
 
 STORAGES = ("sqlite3", "mcap")
@@ -34,8 +33,8 @@ class BagWriter:
     folder, another storage or a missing `rosbags` raises a `ValueError`.
     """
 
+    @_kinds.check_arguments
     def __init__(self, path: str | os.PathLike[str], *, storage: str = "sqlite3") -> None:
-        _kinds.instance("path", path, str, os.PathLike)
         if storage not in STORAGES:
             raise ValueError(f"storage is {storage!r}; accepted: {', '.join(STORAGES)}")
         import_optional("rosbags.rosbag2", EXTRA)
@@ -89,7 +88,8 @@ def _whole_bag(target: Path, storage: str) -> Iterator[Any]:
     """Yield a writer of a bag in a hidden folder, which is moved to its place at the end."""
     module = import_optional("rosbags.rosbag2", EXTRA)
     plugin = module.StoragePlugin[storage.upper()]
-    with in_one_line("bag", target), _writable(target), open_hidden_container(target) as hidden:
+    with in_one_line("bag", target), _writable(target), hidden_folder(target, "bag") as hidden:
+        hidden.mkdir()
         # The files of a bag bear the name of its folder.
         folder = hidden / target.name
         with module.Writer(folder, version=VERSION, storage_plugin=plugin) as writer:

@@ -117,6 +117,7 @@ class Sensor(Beams):
             resolution: side of a cell [m].
         """
 
+    @_kinds.check_arguments
     def scan(
         self,
         world: OccupancyGrid,
@@ -151,8 +152,6 @@ class Sensor(Beams):
             ValueError: a ground of another shape or resolution than the world, an argument of
                 another kind or shape.
         """
-        _kinds.instance("world", world, OccupancyGrid)
-        _kinds.instance("ground", ground, Ground, may_be_none=True)
         _kinds.key("key", key)
         pose = _checks.pose("pose", pose)
         if movers is not None:
@@ -189,6 +188,7 @@ class Sensor(Beams):
         """
         return scan
 
+    @_kinds.check_arguments
     def sight(
         self, grid: OccupancyGrid, scan: Scan, pose: Pose, ground: Ground | None = None
     ) -> Sighting:
@@ -214,9 +214,6 @@ class Sensor(Beams):
             ValueError: a ground of another shape or resolution than the grid, an argument of
                 another kind or shape.
         """
-        _kinds.instance("grid", grid, OccupancyGrid)
-        _kinds.instance("scan", scan, Scan)
-        _kinds.instance("ground", ground, Ground, may_be_none=True)
         pose = _checks.pose("pose", pose)
         resolution = grid.resolution
         cells = self._cells(grid, pose[:2], pose[2])
@@ -247,6 +244,7 @@ class Sensor(Beams):
         )
         return Sighting(count >> 16, count & 0xFFFF, window)
 
+    @_kinds.check_arguments
     def update(
         self,
         belief: OccupancyGrid,
@@ -267,10 +265,9 @@ class Sensor(Beams):
         Raises:
             ValueError: a ground of another shape or resolution than the belief.
         """
-        _kinds.instance("belief", belief, OccupancyGrid)
-        _kinds.instance("model", model, InverseSensorModel)
         return update_grid(belief, self.sight(belief, scan, pose, ground), model)
 
+    @_kinds.check_arguments
     def sees(
         self,
         world: OccupancyGrid,
@@ -295,8 +292,6 @@ class Sensor(Beams):
             ValueError: a ground of another shape or resolution than the world, an argument of
                 another kind or shape.
         """
-        _kinds.instance("world", world, OccupancyGrid)
-        _kinds.instance("ground", ground, Ground, may_be_none=True)
         pose = _checks.pose("pose", pose)
         points = _checks.of_shape("points", points, ("P", 2))
         offset = points - pose[:2]

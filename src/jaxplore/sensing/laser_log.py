@@ -105,6 +105,7 @@ class LaserLog(NamedTuple):
         measured: _Floats = self.odometry + self.offset * ahead
         return measured
 
+    @_kinds.check_arguments
     def scan(self, index: int, sensor: Beams) -> Scan:
         """Return a scan of the log as one of a sensor; see `Scan.from_ranges`.
 
@@ -119,11 +120,11 @@ class LaserLog(NamedTuple):
         """
         last = len(self.times) - 1
         index = _checks.whole_number("index", index, at_least=0, at_most=last)
-        _kinds.instance("sensor", sensor, Beams)
         ranges = np.where(self.ranges[index] >= NO_ECHO, math.inf, self.ranges[index])
         return Scan.from_ranges(ranges, self.angle_min, self.angle_increment, sensor)
 
 
+@_kinds.check_arguments
 def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = None) -> LaserLog:
     """Read the scans of a log in the format of CARMEN, or of GMapping (gfs); also packed (.gz).
 
@@ -163,7 +164,6 @@ def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = N
             number of beams whose angles are not known; scans without poses; a field of view outside
             (0, 2 pi]. One line that names the file, and a line of the file.
     """
-    _kinds.instance("path", path, str, PathLike)
     view = None
     if field_of_view is not None:
         view = _checks.number("field_of_view", field_of_view, above=0.0, at_most=math.tau)

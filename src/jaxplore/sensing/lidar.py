@@ -65,6 +65,7 @@ class Lidar(Sensor):
     errors: LidarErrors | None
     mount: LidarMount | None
 
+    @_kinds.check_arguments
     def __init__(
         self,
         num_beams: int = 360,
@@ -80,8 +81,6 @@ class Lidar(Sensor):
         self.field_of_view = check_view("field_of_view", field_of_view)
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
         self.height = _checks.scalar("height", height, above=0.0)
-        _kinds.instance("errors", errors, LidarErrors, may_be_none=True)
-        _kinds.instance("mount", mount, LidarMount, may_be_none=True)
         self.errors, self.mount = errors, mount
 
     @property

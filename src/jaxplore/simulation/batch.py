@@ -44,6 +44,7 @@ class RunBatch(NamedTuple):
     clock: Count
 
 
+@_kinds.check_arguments
 def record_runs(
     controller: Controller,
     scenario: Scenario,
@@ -69,8 +70,6 @@ def record_runs(
     Raises:
         ValueError: fewer than one step; no keys.
     """
-    _kinds.instance("controller", controller, Controller)
-    _kinds.instance("scenario", scenario, Scenario)
     _kinds.key("keys", keys, ndim=1)
     if not len(keys):
         raise ValueError(f"keys has shape {keys.shape}; accepted: (B,), one for each run")

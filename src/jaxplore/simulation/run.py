@@ -112,6 +112,7 @@ class Run:
             picture = f'<img src="data:image/png;base64,{code}">'
         return f"{picture}<table>{rows}</table>"
 
+    @_kinds.check_arguments
     def animate(
         self,
         path: str | os.PathLike[str] | None = None,
@@ -136,7 +137,6 @@ class Run:
             ValueError: another kind of file, one that cannot be written, numbers that are not
                 accepted, or a missing `imageio-ffmpeg` for an MP4.
         """
-        _kinds.instance("path", path, str, os.PathLike, may_be_none=True)
         options = FilmOptions(fps=fps, scale=scale)
         with (
             tempfile.TemporaryDirectory() as folder,
@@ -148,6 +148,7 @@ class Run:
             )
             return Film(file.read_bytes(), file.suffix.lower())
 
+    @_kinds.check_arguments
     def save(
         self,
         path: str | os.PathLike[str],
@@ -176,9 +177,6 @@ class Run:
         Raises:
             ValueError: the folder exists, or cannot be written; another format of figures.
         """
-        _kinds.instance("path", path, str, os.PathLike)
-        _kinds.instance("film", film, FilmOptions, may_be_none=True)
-        _kinds.instance("settings", settings, Mapping, may_be_none=True)
         for name, value in {
             "overwrite": overwrite,
             "animation": animation,
@@ -200,6 +198,7 @@ class Run:
             )
 
     @classmethod
+    @_kinds.check_arguments
     def load(cls, path: str | os.PathLike[str]) -> "Run":
         """Read a run folder.
 
@@ -213,8 +212,6 @@ class Run:
             ValueError: a folder that holds no run, is malformed or too large, or holds a run of a
                 kind of task whose module was not imported.
         """
-
-        _kinds.instance("path", path, str, os.PathLike)
 
         def build(
             recording: Recording, metrics: Metrics, arrays: Mapping[str, np.ndarray]

@@ -72,6 +72,7 @@ class Scenario(eqx.Module):
         0.019999999552965164."""
         return round(float(self.control_period), 7)
 
+    @_kinds.check_arguments
     def with_variation[S: "Scenario"](self: S, variation: Variation | None) -> S:
         """Return the scenario with a robot that varies from episode to episode.
 
@@ -81,18 +82,17 @@ class Scenario(eqx.Module):
         Raises:
             ValueError: a variation of parameters that the robot does not have.
         """
-        _kinds.instance("variation", variation, Variation, may_be_none=True)
         if variation is not None:
             variation.check(self.robot)
         return with_field(self, "variation", variation)
 
+    @_kinds.check_arguments
     def with_guard[S: "Scenario"](self: S, guard: MotionGuard | None) -> S:
         """Return the scenario with a guard that stops the robot while its pose cannot be true.
 
         Args:
             guard: the guard; None for none.
         """
-        _kinds.instance("guard", guard, MotionGuard, may_be_none=True)
         return with_field(self, "guard", guard)
 
     @property

@@ -109,6 +109,7 @@ class _Part(Task):
         return _Failure(reason)
 
 
+@_kinds.check_arguments
 def simulate_in_parts(
     controller: FleetController,
     fleet: Fleet,
@@ -145,8 +146,6 @@ def simulate_in_parts(
         ChildProcessError: a worker failed or died.
         KeyboardInterrupt: the user stopped it.
     """
-    _kinds.instance("controller", controller, FleetController)
-    _kinds.instance("fleet", fleet, Fleet)
     _kinds.key("key", key)
     number = _checks.positive_int("workers", workers, at_most=min(fleet.num_robots, MOST_ROBOTS))
     places = tuple(

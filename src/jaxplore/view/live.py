@@ -75,6 +75,7 @@ class LiveView(Monitor):
         ValueError: viser is not installed; an address or a port that cannot be used.
     """
 
+    @_kinds.check_arguments
     def __init__(
         self,
         *,
@@ -84,7 +85,6 @@ class LiveView(Monitor):
         is_simulation: bool = True,
         recorder: SwitchedRecorder | None = None,
     ) -> None:
-        _kinds.instance("recorder", recorder, SwitchedRecorder, may_be_none=True)
         self.recorder = recorder
         self._server = open_server(host, port, label=label)
         self._display = Display(self._server, "Parameters")

@@ -28,6 +28,7 @@ COLUMNS = {
 }
 
 
+@_kinds.check_arguments
 def read_path(
     path: str | PathLike[str],
     *,
@@ -62,7 +63,6 @@ def read_path(
     """
     if is_closed is not None:
         _kinds.flag("is_closed", is_closed)
-    _kinds.instance("datum", datum, Datum)
     rows = _rows(path)
     rows[:, :2] = datum.to_local(rows[:, :2])
     where = printable_path(FilePath(path))
@@ -106,9 +106,9 @@ def path_datum(path: str | PathLike[str]) -> Datum:
     return Datum.near(x, y, name=f"{printable_path(FilePath(path))}, waypoint 1")
 
 
+@_kinds.check_arguments
 def _rows(path: str | PathLike[str]) -> np.ndarray:
     """Return the waypoints of a file, in double precision."""
-    _kinds.instance("path", path, str, PathLike)
     file = FilePath(path)
     where = printable_path(file)
     suffix = file.suffix.lower()

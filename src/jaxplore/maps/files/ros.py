@@ -124,6 +124,7 @@ def map_size(path: str | os.PathLike[str]) -> tuple[int, int, float]:
     return *image_size(settings.image), settings.resolution
 
 
+@_kinds.check_arguments
 def map_datum(path: str | os.PathLike[str]) -> Datum:
     """Return the datum for a map: (0, 0), or its origin in whole metres if that is far away.
 
@@ -133,7 +134,6 @@ def map_datum(path: str | os.PathLike[str]) -> Datum:
     Raises:
         ValueError: as of `read_map`, and an origin beyond 1e9 m.
     """
-    _kinds.instance("path", path, str, os.PathLike)
     x, y, _ = _settings(Path(path)).origin
     return Datum.near(x, y, name=f"{printable_path(Path(path))}: origin")
 

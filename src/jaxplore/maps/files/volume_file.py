@@ -69,6 +69,7 @@ class VolumeFile:
         return VoxelGrid.solid(self.make(), self.resolution, origin.tolist())
 
 
+@_kinds.check_arguments
 def read_volume(
     path: str | PathLike[str],
     *,
@@ -107,7 +108,6 @@ def read_volume(
         ValueError: a file that is missing, too large, malformed or of another kind; a mesh that is
             empty, open or has too many faces; a volume with too many voxels, or far from the datum.
     """
-    _kinds.instance("datum", datum, Datum)
     opened = open_volume(
         path,
         resolution=resolution,
@@ -145,6 +145,7 @@ def volume_datum(
     return opened.datum
 
 
+@_kinds.check_arguments
 def open_volume(
     path: str | PathLike[str],
     *,
@@ -159,7 +160,6 @@ def open_volume(
 
     It raises as `read_volume`, and for a file that needs more than `memory` [bytes].
     """
-    _kinds.instance("path", path, str, PathLike)
     _kinds.flag("is_open", is_open)
     file = Path(path)
     side = _checks.number("resolution", resolution, above=0.0)

@@ -95,6 +95,7 @@ def office(
     return OccupancyGrid(occupied.astype(np.float32), resolution)
 
 
+@_kinds.check_arguments
 def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
     """Return a pose (x, y, yaw) at the west end of the corridor, heading along it [m, m, rad].
 
@@ -106,7 +107,6 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
     Raises:
         ValueError: a grid without a cell of that clearance.
     """
-    _kinds.instance("grid", grid, OccupancyGrid)
     from scipy import ndimage  # slow to import, and few need it
 
     free = np.asarray(grid.is_free)

@@ -18,6 +18,7 @@ TRIES = 30
 """Number of destinations that are tried for each."""
 
 
+@_kinds.check_arguments
 def walking_people(
     world: OccupancyGrid,
     number: int,
@@ -43,7 +44,6 @@ def walking_people(
     """
     from scipy import ndimage
 
-    _kinds.instance("world", world, OccupancyGrid)
     count = _checks.whole_number("number", number, at_least=0, at_most=MOST_PEOPLE)
     pace = _checks.number("speed", speed, at_least=0.0)
     size = _checks.number("radius", radius, above=0.0)

@@ -186,13 +186,13 @@ class AnomalyTest(Part):
                 f"sensors begin with a {kind}; accepted with a test for anomalies: Lidar"
             )
 
+    @_kinds.check_arguments
     def init(self, grid: OccupancyGrid) -> Anomalies:
         """Return the state before the first scan.
 
         Args:
             grid: the map that counts as known. Unknown cells are not in the test.
         """
-        _kinds.instance("grid", grid, OccupancyGrid)
         height, width = grid.sides
         cells = jnp.asarray(height * width, jnp.float32)
         nothing = jnp.zeros(grid.shape)

@@ -46,8 +46,8 @@ class KeepOut(Part):
     outlines: Outlines
     mask: OccupancyGrid | None
 
+    @_kinds.check_arguments
     def __init__(self, areas: Sequence[Rows] = (), mask: OccupancyGrid | None = None) -> None:
-        _kinds.instance("mask", mask, OccupancyGrid, may_be_none=True)
         _kinds.instance("areas", areas, list, tuple, np.ndarray)
         _checks.whole_number("number of areas", len(areas), at_least=0, at_most=MOST_NAMES)
         if mask is None and not len(areas):

@@ -125,6 +125,7 @@ class Recognition(Part):
     weight: Scalar
     target: Array
 
+    @_kinds.check_arguments
     def __init__(
         self,
         detector: Detector,
@@ -135,7 +136,6 @@ class Recognition(Part):
         weight: ArrayLike = 100.0,
         target: str | None = None,
     ) -> None:
-        _kinds.instance("detector", detector, Detector)
         self.detector = detector
         count = detector.num_classes
         shares = np.full(count, 1.0 / count, np.float32) if prior is None else prior

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks, _kinds
 from jaxplore._trees import stack_trees
 from jaxplore._types import Rows, Vector
-from jaxplore.costs.base import Cost, check_cost
+from jaxplore.costs.base import Cost
 
 
 def stack_costs(name: str, costs: Sequence[Cost], number: int) -> Cost:
@@ -114,4 +114,4 @@ def check_objectives(objectives: object) -> None:
     for name, cost in objectives.items():
         each = cost if isinstance(cost, (list, tuple)) else [cost]
         for one in each:
-            check_cost(f"objectives[{name!r}]", one)
+            _kinds.instance(f"objectives[{name!r}]", one, Cost)

@@ -14,6 +14,7 @@ from jaxplore.planning.portfolio.safe_fusion import SafeFusion, fusion_by_name
 from jaxplore.planning.portfolio.voting import TrustWeighted, WeightedVote
 
 
+@_kinds.check_arguments
 def fuse_actions(
     actions: Rows,
     costs: Vector,
@@ -48,8 +49,6 @@ def fuse_actions(
     number = given.shape[0]
     # Not `array`: a cost that is not finite keeps its action out.
     paid = jnp.asarray(_checks.of_shape("costs", costs, (number,)), jnp.float32)
-    _kinds.instance("fusion", fusion, Fusion, str)
-    _kinds.instance("situation", situation, Situation, may_be_none=True)
     rule = fusion_by_name(fusion) if isinstance(fusion, str) else fusion
     if temperature is not None:
         if not isinstance(fusion, str) or not isinstance(rule, WeightedVote):

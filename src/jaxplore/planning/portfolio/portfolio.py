@@ -104,6 +104,7 @@ class Portfolio(Controller):
     common: Float[Array, " O"]
     fusion: Fusion
 
+    @_kinds.check_arguments
     def __init__(
         self,
         mppi: MPPI,
@@ -120,9 +121,7 @@ class Portfolio(Controller):
         is_normalised: bool = True,
         smoothing_time: ArrayLike = 1.0,
     ) -> None:
-        _kinds.instance("mppi", mppi, MPPI)
         check_objectives(objectives)
-        _kinds.instance("fusion", fusion, Fusion, str, may_be_none=True)
         _kinds.flag("is_normalised", is_normalised)
         self.members = MemberControllers(
             mppi,

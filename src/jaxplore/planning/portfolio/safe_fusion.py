@@ -54,6 +54,7 @@ class SafeFusion(Fusion):
     regret: Scalar | None
     tolerated: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self,
         fusion: Fusion | None = None,
@@ -61,7 +62,6 @@ class SafeFusion(Fusion):
         regret: ArrayLike | None = None,
         tolerated: ArrayLike = 1e-6,
     ) -> None:
-        _kinds.instance("fusion", fusion, Fusion, may_be_none=True)
         self.fusion = WeightedVote() if fusion is None else fusion
         self.regret = None if regret is None else _checks.scalar("regret", regret, at_least=0.0)
         self.tolerated = _checks.scalar("tolerated", tolerated, at_least=0.0)

@@ -31,6 +31,7 @@ HIDDEN = 10.0
 weight. Over a horizon of 2 s it is as much as 1 m of guidance."""
 
 
+@_kinds.check_arguments
 def explorer(
     robot: Dynamics,
     *,
@@ -109,18 +110,12 @@ def explorer(
     Raises:
         ValueError: a value that a part does not accept.
     """
-    _kinds.instance("robot", robot, Dynamics)
-    _kinds.instance("uncertain", uncertain, UncertainRobot, may_be_none=True)
     informed: Cost = InformationCost() if uncertain is None else CertainInformationCost()
-    _kinds.instance(
-        "moving_obstacle_cost", moving_obstacle_cost, MovingObstacleCost, may_be_none=True
-    )
     weight = _checks.scalar("obstacle_weight", obstacle_weight)
     obstacles: Cost = weight * ObstacleCost(clearance)
     if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
         moving = MovingObstacleCost() if moving_obstacle_cost is None else moving_obstacle_cost
         obstacles = obstacles + weight * moving
-    _kinds.instance("occlusion_cost", occlusion_cost, OcclusionCost, may_be_none=True)
     if occlusion_cost is not None:
         obstacles = obstacles + (HIDDEN * weight) * occlusion_cost
     if chassis is not None:
@@ -146,6 +141,7 @@ def explorer(
     )
 
 
+@_kinds.check_arguments
 def waypoint_mppi(
     robot: Dynamics,
     *,
@@ -189,7 +185,6 @@ def waypoint_mppi(
     Raises:
         ValueError: a robot that flies, a value that a part does not accept.
     """
-    _kinds.instance("robot", robot, Dynamics)
     # No term of the cost holds an altitude.
     if "z" in robot.state_names:
         raise ValueError(f"robot is a {type(robot).__name__}; accepted: a robot on the ground")

@@ -116,6 +116,7 @@ def objectives(
     return chosen
 
 
+@_kinds.check_arguments
 def ground_portfolio(
     robot: Dynamics,
     mission: Mission | None = None,
@@ -189,9 +190,6 @@ def ground_portfolio(
     Raises:
         ValueError: an unknown decomposition, member or objective, or a value that a part rejects.
     """
-    _kinds.instance("robot", robot, Dynamics)
-    _kinds.instance("mission", mission, Mission, may_be_none=True)
-    _kinds.instance("fusion", fusion, Fusion, str, may_be_none=True)
     if not _kinds.is_traced(effort):
         effort = _checks.number("effort", effort, at_least=0.0)
     mission = Mission() if mission is None else mission

@@ -12,7 +12,7 @@ from jaxplore.control.parameterisations import Parameterisation
 from jaxplore.control.proposals import GaussianProposal, Proposal
 from jaxplore.control.risk import Risk
 from jaxplore.control.weighting import Weighting
-from jaxplore.costs.base import Cost, check_cost
+from jaxplore.costs.base import Cost
 from jaxplore.costs.comfort import ComfortCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.path_following import (
@@ -56,6 +56,7 @@ class PathFollowing(NamedTuple):
     lag: LagCost
 
 
+@_kinds.check_arguments
 def augmented_mppi(
     physical: Dynamics,
     virtual: Dynamics,
@@ -101,8 +102,6 @@ def augmented_mppi(
     Raises:
         ValueError: parts that do not fit together, or a value that `MPPI` rejects.
     """
-    _kinds.instance("physical_proposal", physical_proposal, Proposal)
-    _kinds.instance("virtual_proposal", virtual_proposal, Proposal)
     model = Augmented(physical, virtual)
     return MPPI(
         model,
@@ -155,6 +154,7 @@ def avoidance_cost(
     )
 
 
+@_kinds.check_arguments
 def mpcc(
     robot: Dynamics,
     path: Path,
@@ -240,11 +240,7 @@ def mpcc(
     """
     _checks.scalar("corridor_margin", corridor_margin, at_least=0.0)
     _checks.positive_int("num_outcomes", num_outcomes, at_most=MOST_OUTCOMES)
-    _kinds.instance("robot", robot, Dynamics)
-    _kinds.instance("path", path, Path)
     _kinds.instance("noise", noise, str)
-    if other is not None:
-        check_cost("other", other)
     if corridor is not None:
         _kinds.flag("corridor", corridor)
     _checks.scalar("max_lateral", max_lateral, at_least=0.0)

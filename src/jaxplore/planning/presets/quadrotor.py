@@ -23,7 +23,7 @@ from jaxplore.costs.exploration import (
 from jaxplore.costs.tracking import GoalCost
 from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.information.gain import CellSensor, IdealSensor
+from jaxplore.information.gain import CellSensor
 from jaxplore.information.pose import PoseInformation
 from jaxplore.information.trajectory import TrajectoryInformation
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
@@ -42,6 +42,7 @@ BASELINE_WEIGHT = 10.0
 """Weight of the distance from the target where nothing else attracts [1/m]; that of guidance."""
 
 
+@_kinds.check_arguments
 def informative_mppi(
     robot: Dynamics,
     architecture: str = "two-layer",
@@ -109,12 +110,6 @@ def informative_mppi(
     _checks.scalar("goal_weight", goal_weight)
     _checks.scalar("reference_speed", reference_speed, above=0.0)
     _checks.scalar("bias_fraction", bias_fraction, at_least=0.0, at_most=1.0)
-    _kinds.instance("robot", robot, Dynamics)
-    _kinds.instance("sensor_model", sensor_model, InverseSensorModel, IdealSensor, may_be_none=True)
-    _kinds.instance("flight", flight, Flight, may_be_none=True)
-    _kinds.instance("fields", fields, FieldNumbers, may_be_none=True)
-    _kinds.instance("reference", reference, StrategicReference, may_be_none=True)
-    _kinds.instance("target_choice", target_choice, TargetChoice, may_be_none=True)
     _kinds.flag("goal_when_explored", goal_when_explored)
     _kinds.flag("likelihood_ratio", likelihood_ratio)
     architecture = match_spelling(architecture, ARCHITECTURES)
@@ -234,6 +229,7 @@ def zone_choice(
     return TrajectoryChoice(targets, scans, **weight)
 
 
+@_kinds.check_arguments
 def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MPPI:
     """Build MPPI that drives to a goal and ignores information, as a baseline.
 
@@ -242,13 +238,12 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
         goal: goal position (x, y) or (x, y, z) [m].
         flight: parameters of MPPI and of safety.
     """
-    _kinds.instance("robot", robot, Dynamics)
-    _kinds.instance("flight", flight, Flight, may_be_none=True)
     flight = Flight() if flight is None else flight
     cost = flight.cost(robot) + BASELINE_WEIGHT * GoalCost(goal)
     return flight.mppi(robot, cost)
 
 
+@_kinds.check_arguments
 def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
     """Build a random walk with the speed and the safety costs of an explorer, as a baseline.
 
@@ -256,8 +251,6 @@ def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
         robot: model of the robot.
         flight: parameters of MPPI and of safety.
     """
-    _kinds.instance("robot", robot, Dynamics)
-    _kinds.instance("flight", flight, Flight, may_be_none=True)
     flight = Flight() if flight is None else flight
     mppi = flight.mppi(robot, flight.cost(robot))
     # Scaled to the mean over the steps, like all other terms.

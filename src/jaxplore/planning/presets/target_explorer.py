@@ -11,6 +11,7 @@ from jaxplore.planning.strategy.target_explorer import TargetExplorer
 from jaxplore.planning.strategy.target_rules import RULES, TargetRule
 
 
+@_kinds.check_arguments
 def target_explorer(
     robot: Dynamics,
     rule: TargetRule | str,
@@ -40,8 +41,6 @@ def target_explorer(
             rejects.
     """
     rule = check_rule(rule)
-    _kinds.instance("perception", perception, Perception)
-    _kinds.instance("grid", grid, OccupancyGrid)
     looks_around = perception.sensors[0].is_full_circle
     if looks_around:
         driving = {**driving, "information_weight": 0.0}

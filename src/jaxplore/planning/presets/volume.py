@@ -40,6 +40,7 @@ MAX_SPEED = 2.0
 """Greatest speed without a cost where none is given [m/s]."""
 
 
+@_kinds.check_arguments
 def volume_explorer(
     robot: Quadrotor,
     *,
@@ -83,7 +84,6 @@ def volume_explorer(
     Raises:
         ValueError: a robot that is no quadrotor, a value that a part does not accept.
     """
-    _kinds.instance("robot", robot, Quadrotor)
 
     keep = _checks.scalar("clearance", clearance, above=0.0)
     fastest = _checks.scalar("max_speed", max_speed, above=0.0)
@@ -118,6 +118,7 @@ def volume_explorer(
     return flight.mppi(robot, cost)
 
 
+@_kinds.check_arguments
 def volume_informative_mppi(
     robot: Quadrotor,
     architecture: str = "two-layer",
@@ -159,9 +160,6 @@ def volume_informative_mppi(
         ValueError: a robot that is no quadrotor, an unknown architecture, a part of another class,
             or a value that a part does not accept.
     """
-    _kinds.instance("robot", robot, Quadrotor)
-    _kinds.instance("perception", perception, VolumePerception)
-    _kinds.instance("grid", grid, VoxelGrid)
     _kinds.flag("likelihood_ratio", likelihood_ratio)
     _checks.positive_int("reference_steps", reference_steps, at_most=MOST_STEPS_AHEAD)
     _checks.scalar("bias_fraction", bias_fraction, at_least=0.0, at_most=1.0)
@@ -197,6 +195,7 @@ def volume_informative_mppi(
     )
 
 
+@_kinds.check_arguments
 def volume_target_explorer(
     robot: Quadrotor,
     rule: TargetRule | str,
@@ -230,7 +229,6 @@ def volume_target_explorer(
             rejects.
     """
     rule = check_rule(rule)
-    _kinds.instance("perception", perception, VolumePerception)
     if not perception.needs_turning:
         flying = {**flying, "information_weight": 0.0}
     return VolumeTargetExplorer(

@@ -127,6 +127,7 @@ class DifferentialDriveFollower(Follower):
         )
 
 
+@_kinds.check_arguments
 def follower_for(dynamics: Dynamics) -> Follower:
     """Return the follower for a model, with its default gains.
 
@@ -136,7 +137,6 @@ def follower_for(dynamics: Dynamics) -> Follower:
     Raises:
         ValueError: a model without a follower.
     """
-    _kinds.instance("dynamics", dynamics, Dynamics)
     followers: dict[type[Dynamics], type[Follower]] = {
         Quadrotor: QuadrotorFollower,
         DifferentialDrive: DifferentialDriveFollower,

@@ -14,14 +14,13 @@ from jaxplore._types import ArrayLike, Scalar, StateVector
 from jaxplore.belief.belief import Belief, StrategicBelief
 from jaxplore.control.mppi import MPPI
 from jaxplore.information.field_sensor import FieldSensor
-from jaxplore.information.gain import CellSensor, IdealSensor
+from jaxplore.information.gain import CellSensor
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.information.local_field import LocalFieldSensor
 from jaxplore.maps.field import ScalarField
 from jaxplore.planning.strategy.follower import Follower
 from jaxplore.planning.strategy.references import ReferenceStart, StrategicReference
 from jaxplore.planning.strategy.strategic_mppi import StrategicMPPI, check_strategy
-from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 
 class StrategicPlan(NamedTuple):
@@ -110,6 +109,7 @@ class InformativeMPPI(StrategicMPPI):
     strategy_period: Scalar
     altitude: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self,
         mppi: MPPI,
@@ -123,10 +123,6 @@ class InformativeMPPI(StrategicMPPI):
         altitude: ArrayLike = 0.0,
     ) -> None:
         strategy_period = check_strategy(mppi, reference, follower, strategy_period)
-        _kinds.instance("potential_sensor", potential_sensor, LocalFieldSensor)
-        _kinds.instance("short_range_field", short_range_field, ShortRangeField)
-        _kinds.instance("sensor_model", sensor_model, InverseSensorModel, IdealSensor)
-        _kinds.instance("reference", reference, StrategicReference, may_be_none=True)
         self.mppi = mppi
         self.potential_sensor = potential_sensor
         self.short_range_field = short_range_field

@@ -48,6 +48,7 @@ class RandomWalk(Controller):
     distance: Scalar
     period: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self,
         mppi: MPPI,
@@ -55,7 +56,6 @@ class RandomWalk(Controller):
         distance: ArrayLike = 3.0,
         period: ArrayLike = 2.0,
     ) -> None:
-        _kinds.instance("mppi", mppi, MPPI)
         # The goal is a leaf of the cost: a new target does not recompile.
         pull = _checks.scalar("weight", weight, above=0.0) * GoalCost([0.0, 0.0])
         self.mppi = eqx.tree_at(lambda inner: inner.cost, mppi, SumCost((pull, mppi.cost)))

@@ -80,12 +80,10 @@ class ClimbingReference(StrategicReference):
     gradient_reference: GradientReference
     min_gain: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self, gradient_reference: GradientReference | None = None, min_gain: ArrayLike = 1.0
     ) -> None:
-        _kinds.instance(
-            "gradient_reference", gradient_reference, GradientReference, may_be_none=True
-        )
         self.gradient_reference = (
             GradientReference() if gradient_reference is None else gradient_reference
         )

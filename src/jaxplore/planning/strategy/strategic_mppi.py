@@ -163,6 +163,7 @@ class StrategicMPPI(Controller):
         return jnp.round(self.strategy_period / self.mppi.control_period).astype(jnp.int32)
 
 
+@_kinds.check_arguments
 def check_strategy(
     mppi: MPPI, reference: object, follower: Follower | None, period: ArrayLike
 ) -> Scalar:
@@ -172,8 +173,6 @@ def check_strategy(
         ValueError: a strategy period that is not a whole number of control periods; a biased
             proposal without reference and follower, or the other way round.
     """
-    _kinds.instance("mppi", mppi, MPPI)
-    _kinds.instance("follower", follower, Follower, may_be_none=True)
     is_biased = isinstance(mppi.proposal, BiasedProposal)
     if is_biased != (follower is not None) or (is_biased and reference is None):
         raise ValueError(

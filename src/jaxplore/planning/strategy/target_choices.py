@@ -41,10 +41,10 @@ class RemainingInformation(TargetChoice):
     weight: Scalar
     straight: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self, targets: Targets, weight: ArrayLike = 0.05, *, straight: bool = False
     ) -> None:
-        _kinds.instance("targets", targets, Targets)
         self.targets = targets
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
         self.straight = _kinds.flag("straight", straight)
@@ -94,6 +94,7 @@ class TrajectoryChoice(TargetChoice):
     gradient_reference: GradientReference
     weight: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self,
         targets: Targets,
@@ -101,11 +102,6 @@ class TrajectoryChoice(TargetChoice):
         gradient_reference: GradientReference | None = None,
         weight: ArrayLike = 1.0,
     ) -> None:
-        _kinds.instance("targets", targets, Targets)
-        _kinds.instance("information", information, TrajectoryInformation)
-        _kinds.instance(
-            "gradient_reference", gradient_reference, GradientReference, may_be_none=True
-        )
         self.targets = targets
         self.information = information
         self.gradient_reference = (

@@ -66,6 +66,7 @@ class TargetExplorer(TargetController):
     nodes_to_unknown: int = eqx.field(static=True)
     stays: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         tracker: ModelBasedController,
@@ -83,10 +84,6 @@ class TargetExplorer(TargetController):
         stays: bool = False,
         locomotion: Locomotion | None = None,
     ) -> None:
-        _kinds.instance("tracker", tracker, ModelBasedController)
-        _kinds.instance("rule", rule, TargetRule)
-        _kinds.instance("frame", frame, GridFrame)
-        _kinds.instance("locomotion", locomotion, Locomotion, may_be_none=True)
         if not isinstance(shape, tuple) or len(shape) != 2:
             raise ValueError(f"shape is {_kinds.describe(shape)}; accepted: (H, W)")
         self.tracker, self.rule, self.frame = tracker, rule, frame

@@ -70,6 +70,7 @@ class Targets(eqx.Module):
     locomotion: Locomotion
     stride: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         zones: Zones,
@@ -80,8 +81,6 @@ class Targets(eqx.Module):
         stride: int = 1,
         locomotion: Locomotion | None = None,
     ) -> None:
-        _kinds.instance("zones", zones, Zones)
-        _kinds.instance("locomotion", locomotion, Locomotion, may_be_none=True)
         if zones.member.ndim != 3 or zones.member.shape[0] == 0:
             raise ValueError(
                 f"zones has members of shape {zones.member.shape}; accepted: (Z, H, W) with Z >= 1"
@@ -246,13 +245,10 @@ class TargetReference(StrategicReference):
     choice: TargetChoice
     gradient_reference: GradientReference
 
+    @_kinds.check_arguments
     def __init__(
         self, choice: TargetChoice, gradient_reference: GradientReference | None = None
     ) -> None:
-        _kinds.instance("choice", choice, TargetChoice)
-        _kinds.instance(
-            "gradient_reference", gradient_reference, GradientReference, may_be_none=True
-        )
         self.choice = choice
         self.gradient_reference = (
             GradientReference() if gradient_reference is None else gradient_reference

@@ -27,8 +27,8 @@ class UncertaintyAware(Controller):
 
     controller: MPPI
 
+    @_kinds.check_arguments
     def __init__(self, controller: MPPI) -> None:
-        _kinds.instance("controller", controller, MPPI)
         _kinds.instance("dynamics of controller", controller.dynamics, UncertainRobot)
         self.controller = controller
 

@@ -73,6 +73,7 @@ class VolumeInformativeMPPI(StrategicMPPI):
     follower: QuadrotorFollower | None
     strategy_period: Scalar
 
+    @_kinds.check_arguments
     def __init__(
         self,
         mppi: MPPI,
@@ -83,10 +84,6 @@ class VolumeInformativeMPPI(StrategicMPPI):
         follower: QuadrotorFollower | None = None,
         strategy_period: ArrayLike = 0.2,
     ) -> None:
-        _kinds.instance("perception", perception, VolumePerception)
-        _kinds.instance("grid", grid, VoxelGrid)
-        _kinds.instance("reference", reference, VolumeReference, may_be_none=True)
-        _kinds.instance("follower", follower, QuadrotorFollower, may_be_none=True)
         self.strategy_period = check_strategy(mppi, reference, follower, strategy_period)
         self.mppi, self.perception = mppi, perception
         self.reference, self.follower = reference, follower

@@ -63,6 +63,7 @@ class VolumeTargetExplorer(TargetController):
     blocks_to_unknown: int = eqx.field(static=True)
     stays: bool = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         tracker: ModelBasedController,
@@ -76,10 +77,6 @@ class VolumeTargetExplorer(TargetController):
         every: int,
         leftover_share: ArrayLike = LEFTOVER_SHARE,
     ) -> None:
-        _kinds.instance("tracker", tracker, ModelBasedController)
-        _kinds.instance("rule", rule, TargetRule)
-        _kinds.instance("perception", perception, VolumePerception)
-        _kinds.instance("grid", grid, VoxelGrid)
         self.tracker, self.rule, self.perception = tracker, rule, perception
         self.blank = perception.blank_field(grid)
         # The robot keeps its clearance from unknown voxels, so a node from which a frontier is

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from jaxplore.report.drawing.palette import INK, LEVEL, PALE, PAPER, TRAIL, Colour
-from jaxplore.report.drawing.picture import SUPERSAMPLING, pairs, round_length
+from jaxplore.report.drawing.picture import MIN_WIDTH, SUPERSAMPLING, pairs, round_length
 from jaxplore.report.drawing.shapes import draw_found, draw_star
 
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
@@ -61,13 +61,17 @@ class _Signs:
 
 
 class Footer:
-    """The footer of a picture, drawn in pixels of scale 1 from its upper left corner."""
+    """A picture with a footer, which is drawn in pixels of scale 1 from its upper left corner."""
 
-    def __init__(self, image: Image.Image, scale: float, entries: Sequence[Entry]) -> None:
-        self.image, self.scale, self.entries = image, scale, entries
-        self.width = image.width / scale
-        self.top = image.height - round(footer_height(self.width, len(entries)) * scale)
-        self.draw, self.fonts = ImageDraw.Draw(image), fonts(scale)
+    def __init__(self, ground: Image.Image, scale: float, entries: Sequence[Entry]) -> None:
+        """Make the picture of a supersampled ground with room for the footer below it."""
+        columns, self.top = (side // SUPERSAMPLING for side in ground.size)
+        width = max(round(MIN_WIDTH * scale), columns)
+        self.scale, self.entries, self.width = scale, entries, width / scale
+        height = round(footer_height(self.width, len(entries)) * scale)
+        self.image = Image.new("RGB", (width, self.top + height), PAPER)
+        self.image.paste(ground.reduce(SUPERSAMPLING), ((width - columns) // 2, 0))
+        self.draw, self.fonts = ImageDraw.Draw(self.image), fonts(scale)
 
     def text(
         self,

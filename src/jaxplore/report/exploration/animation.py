@@ -36,12 +36,12 @@ from jaxplore.report.drawing.palette import (
     Colour,
     fit_palette,
 )
-from jaxplore.report.drawing.picture import SUPERSAMPLING, WIDTH, pairs
+from jaxplore.report.drawing.picture import WIDTH, pairs
 from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts, draw_targets
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
-from jaxplore.report.exploration.footer import draw_footer
 from jaxplore.report.exploration.legend import mission_colours
+from jaxplore.report.exploration.map_canvas import MapCanvas
 from jaxplore.report.exploration.progress import find_carried_steps
 
 NUM_RAYS = 45
@@ -74,26 +74,18 @@ def painter(recording: ExplorationData, scale: float) -> Callable[[ExplorationFr
 
 
 def _draw(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
-    factor = SUPERSAMPLING
-    columns, rows = canvas.map_size
-    ground = _ground(canvas, frame).resize(
-        (columns * factor, rows * factor), Image.Resampling.NEAREST
-    )
-    _draw_robot(canvas, frame, ImageDraw.Draw(ground, "RGBA"))
-    image = Image.new("RGB", (canvas.width, canvas.height), PAPER)
-    image.paste(ground.reduce(factor), (canvas.left, 0))
-    draw_footer(canvas, frame, image)
-    return image
+    layers = partial(_draw_robot, canvas.map, canvas.recording, frame)
+    return canvas.map.draw(_ground(canvas, frame), layers, frame, canvas.legend)
 
 
-def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
+def _ground(canvas: Canvas, frame: ExplorationFrame) -> np.ndarray:
     """Draw the belief, unseen true walls, the information and untraversable ground.
 
     One pixel per cell.
     """
     drawn = np.ix_(*canvas.sample)
-    level = canvas.window.crop(frame.probability, 128.0)
-    is_hidden = canvas.any_in_blocks(canvas.walls & _is_unknown(level))
+    level = canvas.map.window.crop(frame.probability, 128.0)
+    is_hidden = canvas.any_in_blocks(canvas.map.walls & _is_unknown(level))
     is_wall = canvas.any_in_blocks(level >= WALL_LEVEL)
     level = level[drawn]
     # Sixteen levels instead of 256 make a small file; the last one is drawn as fully occupied.
@@ -110,8 +102,7 @@ def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     # Walls come last: where several cells share a pixel, a wall of one cell must not be lost.
     colours[is_hidden] = HIDDEN_WALL
     colours[is_wall] = belief_colours()[255]
-    # Row 0 of a grid is at the bottom, row 0 of a picture at the top.
-    return Image.fromarray(np.round(colours[::-1]).astype(np.uint8))
+    return np.asarray(np.round(colours).astype(np.uint8))
 
 
 def _is_unknown(level: np.ndarray) -> np.ndarray:
@@ -119,9 +110,13 @@ def _is_unknown(level: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(level.astype(int) - 128) < 8)
 
 
-def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
+def _draw_robot(
+    canvas: MapCanvas,
+    recording: ExplorationData,
+    frame: ExplorationFrame,
+    draw: ImageDraw.ImageDraw,
+) -> None:
     """Draw the scan, the trail, the rollouts, the plan and the robot, in this order."""
-    recording = canvas.recording
     names = recording.state_names
     here = frame.state[[names.index("x"), names.index("y")]]
 
@@ -137,7 +132,7 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
     draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
     for each in recording.parts.values():
         each.draw(canvas, draw, recording, frame)
-    _draw_moving_obstacles(canvas, frame, draw)
+    _draw_moving_obstacles(canvas, recording.mover_radii, frame, draw)
     _draw_tracks(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
@@ -153,10 +148,9 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
 
 
 def _draw_moving_obstacles(
-    canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw
+    canvas: MapCanvas, radii: np.ndarray, frame: ExplorationFrame, draw: ImageDraw.ImageDraw
 ) -> None:
-    radii = canvas.recording.mover_radii.tolist()
-    for middle, radius in zip(frame.movers, radii, strict=True):
+    for middle, radius in zip(frame.movers, radii.tolist(), strict=True):
         if np.isfinite(middle).all():
             x, y = canvas.pixels(middle).tolist()
             reach = max(radius * canvas.scale, 3.0 * canvas.unit)
@@ -164,7 +158,7 @@ def _draw_moving_obstacles(
             draw.ellipse(box, MOVER, MOVER_EDGE, round(1.5 * canvas.unit))
 
 
-def _draw_tracks(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
+def _draw_tracks(canvas: MapCanvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
     """Draw a ring around what the robot tracks, and a line to where it would be in a second."""
     reach = max(0.4 * canvas.scale, 5.0 * canvas.unit)
     for way in frame.tracks:
@@ -175,7 +169,7 @@ def _draw_tracks(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageD
             draw.ellipse((x - reach, y - reach, x + reach, y + reach), None, MOVER_EDGE, width)
 
 
-def _draw_dashes(canvas: Canvas, draw: ImageDraw.ImageDraw, points: np.ndarray) -> None:
+def _draw_dashes(canvas: MapCanvas, draw: ImageDraw.ImageDraw, points: np.ndarray) -> None:
     """Draw the reference (R, 2) [m] dashed: another colour than the plan's is not enough."""
     places = points[np.isfinite(points).all(axis=-1)].astype(np.float64)
     lengths = np.hypot(*np.diff(places, axis=0).T)

@@ -1,67 +1,39 @@
-"""The parts of an animation that are the same in every frame."""
+"""What all frames of an exploration share beside the map: where cells and nodes are drawn."""
 
 import dataclasses
 
 import numpy as np
 
-from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
-from jaxplore.report.drawing.footer import Entry, footer_height
-from jaxplore.report.drawing.picture import MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, to_frame
+from jaxplore.report.drawing.footer import Entry
+from jaxplore.report.drawing.picture import MIN_WIDTH, SUPERSAMPLING, to_frame
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.legend import legend_entries
+from jaxplore.report.exploration.map_canvas import MapCanvas, make_map_canvas
 from jaxplore.report.exploration.overlays import find_closed_cells
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.exploration.window import Window
-
-MAX_RATIO = 1.1
-"""Greatest height of the map, as a multiple of the picture's width."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Canvas:
     """The parts of an animation that are the same in every frame.
 
-    `zoom` is the scale of the picture, `scale` the supersampled pixels per metre, `left` the map's
-    first column; `sample` are the drawn rows and columns, and `blocks` the first row and column of
-    the cells that each of them stands for; `corners` (4, R, C) are the indices of the nodes of the
-    information field around each drawn cell and `shares` their bilinear weights; `walls` are the
-    window's true walls and `closed` the drawn cells of untraversable open ground; `brightest` [nat]
-    is the information at which the colour saturates.
+    `sample` are the drawn rows and columns, and `blocks` the first row and column of the cells that
+    each of them stands for; `corners` (4, R, C) are the indices of the nodes of the information
+    field around each drawn cell and `shares` their bilinear weights; `closed` are the drawn cells
+    of untraversable open ground; `brightest` [nat] is the information at which the colour
+    saturates.
     """
 
     recording: ExplorationData
-    window: Window
-    width: int
-    zoom: float
-    map_size: tuple[int, int]
-    left: int
-    scale: float
+    map: MapCanvas
     sample: tuple[np.ndarray, np.ndarray]
     blocks: tuple[np.ndarray, np.ndarray]
-    walls: np.ndarray
     legend: tuple[Entry, ...]
     corners: np.ndarray
     shares: np.ndarray
     closed: np.ndarray
     brightest: float
-    progress: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-    @property
-    def height(self) -> int:
-        """Height of the picture, map and footer [pixels]."""
-        height = footer_height(self.width / self.zoom, len(self.legend))
-        return self.map_size[1] + round(height * self.zoom)
-
-    @property
-    def unit(self) -> float:
-        """Pixels of the supersampled map per pixel of scale 1."""
-        return SUPERSAMPLING * self.zoom
-
-    def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Turn world points (..., 2) [m] into columns and rows of the supersampled map."""
-        placed = self.window.place(points) * self.scale
-        placed[..., 1] = self.map_size[1] * SUPERSAMPLING - placed[..., 1]
-        return np.asarray(np.clip(placed, -1e5, 1e5))
 
     def any_in_blocks(self, cells: np.ndarray) -> np.ndarray:
         """Return for each drawn cell whether any cell that it stands for is set.
@@ -82,11 +54,9 @@ def make_canvas(recording: ExplorationData, width: int, zoom: float) -> Canvas:
     """
     if width < MIN_WIDTH:
         raise ValueError(f"width is {width!r}; accepted: a whole number >= {MIN_WIDTH}")
-    window = Window.around_reachable(recording)
-    size = np.asarray(window.size)
-    scale = min(width / size[0], MAX_RATIO * width / size[1])
-    columns, rows = (round(max(MIN_MAP_SIDE, round(float(side) * scale)) * zoom) for side in size)
-    total = max(round(MIN_WIDTH * zoom), columns)
+    time, coverage, _, path = progress(recording)
+    canvas = make_map_canvas(recording, (time, coverage, path), width, zoom)
+    window, (columns, rows) = canvas.window, canvas.size
     # Where cells are smaller than pixels, a subset is enough.
     cells = [
         (np.arange(count), window.shape[axis] / count)
@@ -103,21 +73,14 @@ def make_canvas(recording: ExplorationData, width: int, zoom: float) -> Canvas:
     closed = find_closed_cells(recording, window)[np.ix_(*sample)]
     return Canvas(
         recording=recording,
-        window=window,
-        width=total,
-        zoom=zoom,
-        map_size=(columns, rows),
-        left=(total - columns) // 2,
-        scale=scale * zoom * SUPERSAMPLING,
+        map=canvas,
         sample=sample,
         blocks=blocks,
-        walls=window.crop(recording.world, 0.5) > OCCUPIED_THRESHOLD,
         legend=legend_entries(recording, has_closed=bool(closed.any())),
         closed=closed,
         corners=corners,
         shares=shares,
         brightest=_brightest(recording.frames),
-        progress=progress(recording),
     )
 
 

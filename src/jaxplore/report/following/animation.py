@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing.colours import FREE, MISSED, MOVER, MOVER_EDGE, UNKNOWN, blend
-from jaxplore.report.drawing.footer import EDGE, Entry, Footer, footer_height
+from jaxplore.report.drawing.footer import EDGE, Entry, Footer
 from jaxplore.report.drawing.palette import (
     FAINT,
     INK,
@@ -93,22 +93,6 @@ class PathCanvas:
     contacts: np.ndarray
     course: Image.Image | None
 
-    @property
-    def width(self) -> int:
-        """Width of the picture [pixels]."""
-        return max(round(MIN_WIDTH * self.zoom), self.size[0] // SUPERSAMPLING)
-
-    @property
-    def height(self) -> int:
-        """Height of the picture, map and footer [pixels]."""
-        height = footer_height(self.width / self.zoom, len(self.legend))
-        return self.size[1] // SUPERSAMPLING + round(height * self.zoom)
-
-    @property
-    def legend(self) -> tuple[Entry, ...]:
-        """Entries of the legend."""
-        return _legend(self)
-
     def view(self, position: np.ndarray) -> View:
         """Return the view around a robot's position, clipped to the course."""
         extent = np.asarray(self.size) / self.scale
@@ -189,11 +173,9 @@ def _draw(canvas: PathCanvas, frame: PathFrame) -> Image.Image:
     # The run is drawn into the ground, so each frame needs a copy.
     ground = canvas.course.copy() if canvas.course else _draw_course(canvas, view)
     _draw_run(canvas, view, frame, ImageDraw.Draw(ground, "RGBA"))
-    columns, _ = canvas.size
-    image = Image.new("RGB", (canvas.width, canvas.height), PAPER)
-    image.paste(ground.reduce(SUPERSAMPLING), ((canvas.width - columns // SUPERSAMPLING) // 2, 0))
-    _draw_footer(canvas, frame, image)
-    return image
+    footer = Footer(ground, canvas.zoom, _legend(canvas))
+    _draw_footer(canvas, frame, footer)
+    return footer.image
 
 
 def _draw_course(canvas: PathCanvas, view: View) -> Image.Image:
@@ -267,11 +249,10 @@ def _draw_obstacle(
             draw.polygon(pairs(places), colour)
 
 
-def _draw_footer(canvas: PathCanvas, frame: PathFrame, image: Image.Image) -> None:
+def _draw_footer(canvas: PathCanvas, frame: PathFrame, footer: Footer) -> None:
     """Draw speed, time, progress, the scale bar, the legend and the curve of the speed."""
     recording, laps = canvas.recording, num_laps(canvas.recording)
     step = min(frame.step, recording.num_steps)
-    footer = Footer(image, canvas.zoom, canvas.legend)
     footer.headline(f"{canvas.speed[step]:.1f} m/s", "speed")
     footer.text(88, 42, _progress(canvas, frame, step, laps))
     footer.text(EDGE, 42, f"{frame.time:.1f} s")

@@ -118,8 +118,8 @@ class WaypointMode(ActionMode):
     drive: Controller
     reach: Scalar
 
+    @_kinds.check_arguments
     def __init__(self, drive: Controller, reach: ArrayLike = 3.0) -> None:
-        _kinds.instance("drive", drive, Controller)
         self.drive = drive
         self.reach = _checks.scalar("reach", reach, above=0.0)
 

@@ -119,6 +119,7 @@ class Environment(eqx.Module):
     collision_penalty: Scalar
     num_scenarios: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         scenarios: Scenario | Sequence[Scenario],
@@ -129,7 +130,6 @@ class Environment(eqx.Module):
         collision_penalty: ArrayLike = 1.0,
         view: float | None = None,
     ) -> None:
-        _kinds.instance("mode", mode, ActionMode)
         given = [scenarios] if isinstance(scenarios, Scenario) else scenarios
         if not isinstance(given, (list, tuple)):
             _kinds.instance("scenarios", given, Scenario, hint="or a list of them")

@@ -57,10 +57,10 @@ class MovingObstacles(eqx.Module):
     radius: Float[Array, " M"]
     phase: Float[Array, " M"]
 
+    @_kinds.check_arguments
     def __init__(
         self, movers: Sequence[MovingObstacle], phase: ArrayLike | Sequence[float] | None = None
     ):
-        _kinds.instances("movers", movers, MovingObstacle)
         most = max((len(mover.path) for mover in movers), default=1)
         rows = [[*mover.path, *mover.path[-1:] * (most - len(mover.path))] for mover in movers]
         corners = np.array(rows, np.float64).reshape(-1, most, 2)

@@ -214,6 +214,7 @@ class ExplorationScenario(Scenario):
     counts_walls: bool = eqx.field(static=True)
     clearance_reach: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         world: OccupancyGrid | TerrainMap,
@@ -246,14 +247,6 @@ class ExplorationScenario(Scenario):
         datum: Datum = ORIGIN,
     ) -> None:
         all_sensors = as_sensors(sensors)
-        _kinds.instance("world", world, OccupancyGrid, TerrainMap)
-        _kinds.instance("robot", robot, Dynamics)
-        _kinds.instance("perception", perception, Perception, may_be_none=True)
-        _kinds.instance("prior", prior, OccupancyGrid, may_be_none=True)
-        _kinds.instance("faults", faults, Faults, may_be_none=True)
-        _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
-        _kinds.instance("localisation", localisation, Localisation, may_be_none=True)
-        _kinds.instance("datum", datum, Datum)
         _kinds.instance("target", target, str, may_be_none=True)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")

@@ -107,6 +107,7 @@ class Fleet(Scenario):
     plan_length: int = eqx.field(static=True)
     coordination: str = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         robots: ExplorationScenario | Sequence[ExplorationScenario],
@@ -118,7 +119,6 @@ class Fleet(Scenario):
         plan_step: ArrayLike = 0.05,
         plan_length: int = 40,
     ) -> None:
-        _kinds.instance("radio", radio, Radio, may_be_none=True)
         members = check_members(robots, starts)
         self.explorations = Alike(members).map(ExplorationScenario.with_target_coverage)
         if len(members) > 1:

@@ -17,6 +17,7 @@ APART = 0.4
 """Least distance between the edges of two robots at starts that are chosen [m]."""
 
 
+@_kinds.check_arguments
 def near_starts(scenario: ExplorationScenario, number: int) -> np.ndarray:
     """Choose starts (N, 3) around that of a robot, with its heading [m, m, rad].
 
@@ -30,7 +31,6 @@ def near_starts(scenario: ExplorationScenario, number: int) -> np.ndarray:
     Raises:
         ValueError: less than one robot, more than there is room for.
     """
-    _kinds.instance("scenario", scenario, ExplorationScenario)
     number = _checks.positive_int("robots", number, at_most=MOST_ROBOTS)
     import scipy.ndimage  # slow to import, and few need it
 

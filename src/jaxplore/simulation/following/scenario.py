@@ -112,6 +112,7 @@ class PathScenario(Scenario):
     faults: Faults | None
     prediction: str = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         robot: Augmented,
@@ -131,12 +132,6 @@ class PathScenario(Scenario):
         faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
-        _kinds.instance("robot", robot, Augmented)
-        _kinds.instance("path", path, Path)
-        _kinds.instance("traffic", traffic, Traffic, may_be_none=True)
-        _kinds.instance("standing", standing, Outlines, may_be_none=True)
-        _kinds.instance("faults", faults, Faults, may_be_none=True)
-        _kinds.instance("datum", datum, Datum)
         self.placed = HostOnly(datum)
         if "phi" not in robot.state_names:
             raise ValueError(

@@ -41,6 +41,7 @@ class Traffic(eqx.Module):
     rates: Float[Array, " N"]
     outlines: Outlines
 
+    @_kinds.check_arguments
     def __init__(
         self,
         path: Path,
@@ -51,8 +52,6 @@ class Traffic(eqx.Module):
         *,
         radii: Vector | None = None,
     ) -> None:
-        _kinds.instance("path", path, Path)
-        _kinds.instance("outlines", outlines, Outlines, may_be_none=True)
         self.path = path
         self.phi = array("phi", phi, ("N",), may_be_empty=True)
         number = self.phi.shape[0]

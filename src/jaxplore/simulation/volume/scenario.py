@@ -118,6 +118,7 @@ class VolumeScenario(Scenario):
     faults: Faults | None
     reach: int = eqx.field(static=True)
 
+    @_kinds.check_arguments
     def __init__(
         self,
         world: VoxelGrid,
@@ -135,17 +136,12 @@ class VolumeScenario(Scenario):
         faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
-        _kinds.instance("world", world, VoxelGrid)
-        _kinds.instance("robot", robot, Quadrotor)
-        _kinds.instance("perception", perception, VolumePerception, may_be_none=True)
-        _kinds.instance("faults", faults, Faults, may_be_none=True)
         if faults is not None and faults.carried_at is not None:
             raise ValueError("faults has carried_at in a volume; accepted: faults without it")
         if faults is not None and faults.walls is not None and faults.walls.shape != world.shape:
             raise ValueError(
                 f"walls has shape {faults.walls.shape}; accepted: the world's, {world.shape}"
             )
-        _kinds.instance("datum", datum, Datum)
         self.placed = HostOnly(datum)
         several = isinstance(sensors, Sequence)
         given = tuple(sensors) if isinstance(sensors, Sequence) else (sensors,)

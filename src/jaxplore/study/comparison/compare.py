@@ -56,6 +56,7 @@ class RecordingTask(Task):
         raise ChildProcessError(f"run of {self.variant} with seed {self.seed} failed: {reason}")
 
 
+@_kinds.check_arguments
 def compare(
     experiments: Mapping[str, tuple[Controller, Scenario, int]],
     seeds: Sequence[int],
@@ -81,7 +82,6 @@ def compare(
     _check_arguments(experiments, seeds)
     check_number_of_seeds("seeds", seeds)
     check_number_of_runs(len(experiments) * len(seeds))
-    _kinds.instance("runner", runner, Runner, may_be_none=True)
     _kinds.flag("progress", progress)
     if not experiments:
         raise ValueError("experiments is empty; accepted: at least one controller")

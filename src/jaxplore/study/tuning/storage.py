@@ -1,28 +1,34 @@
-"""Storage of a study in Optuna's SQLite database, written by one process at a time."""
+"""Storage of a study: a file with a line of JSON for each change, written by one process at a time.
+
+Optuna holds the study in memory and replays the lines when a search continues. What a line says is
+never changed, so a file that was cut off is an earlier state of the study.
+"""
 
 import contextlib
+import json
+import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxplore._files import open_regular
 from jaxplore._optional import import_optional
 from jaxplore._text import error_reason
 from jaxplore.report.folder import lock_folder
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.search import Search
 from jaxplore.study.tuning.study import Study
-from jaxplore.study.tuning.study_copy import (
-    check_content,
-    close_storage,
-    open_former_study,
-    storage_at,
-)
+from jaxplore.study.tuning.study_content import check_content
 
-FORMAT = 1
+FORMAT = 2
 """Version of the stored data."""
-STUDY = "study.db"
-"""File of Optuna's storage in the folder of a study."""
+STUDY = "study.jsonl"
+"""File of the changes in the folder of a study; Optuna calls it a journal."""
+FILE_LIMIT = 2**31
+"""Largest study that is read [bytes]."""
+_BEGIN = b'{"op_code": '
+"""First bytes of a line."""
 _NAME, _ASKED = "jaxplore", "asked"
 """Name of Optuna's study, and its attribute with the definition of the search."""
 
@@ -34,8 +40,8 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
     Args:
         search: definition of the search.
         episodes: where candidates are evaluated.
-        folder: folder of `study.db`, which `optuna-dashboard` shows; missing parents are made. The
-            study is in memory only when absent.
+        folder: folder of `study.jsonl`, which `optuna-dashboard` shows; missing parents are made.
+            The study is in memory only when absent.
 
     Raises:
         ValueError: Optuna is not installed; a folder that cannot be written, also later in the
@@ -50,24 +56,20 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
         if folder is not None:
             # A second search would mix its candidates into the study, so it is refused at once.
             stack.enter_context(lock_folder(folder, "study folder"))
-            former = _check_study(optuna, folder, search, asked)
-            # A full disk may fail it already where the tables are made.
-            stack.enter_context(_in_one_line(optuna, folder))
-            storage = storage_at(optuna, folder / STUDY)
-            stack.callback(close_storage, storage)
+            storage, former = _read_former(optuna, folder, search, asked)
         # The first generation is evaluated completely, so that there is a median to compare with.
         pruner = (
             optuna.pruners.MedianPruner(n_startup_trials=search.population)
             if search.gives_up
             else optuna.pruners.NopPruner()
         )
-        study = optuna.create_study(
-            study_name=_NAME,
-            storage=storage,
-            directions=["minimize"] * len(search.objectives),
-            load_if_exists=True,
-            pruner=pruner,
-        )
+        if storage is not None and storage.get_all_studies():
+            study = optuna.load_study(study_name=_NAME, storage=storage, pruner=pruner)
+        else:
+            directions = ["minimize"] * len(search.objectives)
+            study = optuna.create_study(
+                study_name=_NAME, storage=storage, directions=directions, pruner=pruner
+            )
         if former is None:
             study.set_user_attr(_ASKED, asked)
             with warnings.catch_warnings():
@@ -76,44 +78,79 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
         yield Study(search, episodes, study)
 
 
-def _check_study(optuna: Any, folder: Path, search: Search, asked: dict[str, Any]) -> Any:
-    """Return the definition that a folder's study was made with, or None without a study."""
+class _Journal:
+    """The changes of a study in a file, for Optuna's `JournalStorage`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._logs, self._size, self._rest = path, list[Any](), 0, 0
+        file = open_regular(path)
+        if file is None:
+            if os.path.lexists(path):
+                raise ValueError("it is not a file")
+            return
+        with file:
+            data = file.read(FILE_LIMIT + 1)
+        if len(data) > FILE_LIMIT:
+            raise ValueError(f"it has more than {FILE_LIMIT} bytes")
+        *lines, rest = data.split(b"\n")
+        # A process that was killed may have left the beginning of a line.
+        if rest[: len(_BEGIN)] != _BEGIN[: len(rest)]:
+            raise ValueError("it holds something else")
+        self._logs = [json.loads(line) for line in lines]
+        self._size, self._rest = len(data) - len(rest), len(rest)
+
+    def read_logs(self, first: int) -> Iterator[dict[str, Any]]:
+        """Yield the changes from a number on."""
+        yield from self._logs[first:]
+
+    def append_logs(self, logs: Sequence[dict[str, Any]]) -> None:
+        """Store changes."""
+        lines = [json.dumps(each) for each in logs]
+        data = "".join(f"{line}\n" for line in lines).encode()
+        try:
+            with self._path.open("ab") as file:
+                if file.tell() != self._size + self._rest:
+                    raise OSError("another program has changed it")
+                file.truncate(self._size)
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise ValueError(
+                f"study {str(self._path)!r} cannot be written: {error_reason(error)}; accepted: "
+                "a folder on a writable disk with space left"
+            ) from error
+        self._logs += map(json.loads, lines)
+        self._size, self._rest = self._size + len(data), 0
+
+
+def _read_former(
+    optuna: Any, folder: Path, search: Search, asked: dict[str, Any]
+) -> tuple[Any, Any]:
+    """Return the storage in a folder, and the definition that its study was made with, or None."""
     path, former, difference = folder / STUDY, None, None
     try:
-        with open_former_study(optuna, path, _NAME) as study:
-            former = None if study is None else study.user_attrs.get(_ASKED)
-            if former is not None:
-                difference = _difference(former, asked, str(folder))
-                if difference is None:
-                    check_content(study, search)
+        journal = _Journal(path)
+        storage = optuna.storages.JournalStorage(journal)
+        names = optuna.get_all_study_names(storage)
+        # Optuna passes over changes of what it does not know.
+        if names != [_NAME] and (names or any(journal.read_logs(0))):
+            raise ValueError("it holds another study")
+        if names:
+            study = optuna.load_study(study_name=_NAME, storage=storage)
+            former = study.user_attrs.get(_ASKED)
+            difference = None if former is None else _difference(former, asked, str(folder))
+            if difference is None:
+                check_content(study, search)
     except Exception as error:
-        # Optuna and SQLAlchemy raise errors of many types for a file that is no study.
+        # Optuna raises errors of many types for lines that are not its own.
         raise ValueError(
             f"study {str(path)!r} cannot be read: {type(error).__name__}; accepted: a study of "
             "jaxplore tune, or a new folder"
         ) from None
     if difference is not None:
         raise ValueError(difference)
-    return former
-
-
-@contextlib.contextmanager
-def _in_one_line(optuna: Any, folder: Path) -> Iterator[None]:
-    """Convert errors of the storage during a search into one line."""
-    try:
-        yield
-    except (
-        optuna.exceptions.StorageInternalError,
-        import_optional("sqlalchemy.exc", "tuning").SQLAlchemyError,
-    ) as error:
-        # Optuna's own text names no reason.
-        causes = (error, error.__cause__, error.__context__)
-        known = [each.orig for each in causes if getattr(each, "orig", None) is not None]
-        reason = error_reason(known[0] if known else error)
-        raise ValueError(
-            f"study {str(folder / STUDY)!r} cannot be read or written: {reason}; accepted: "
-            "a folder on a writable disk with space left"
-        ) from error
+    return storage, former
 
 
 def _difference(former: Any, asked: dict[str, Any], folder: str) -> str | None:
