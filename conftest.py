@@ -114,7 +114,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 TOGETHER = [
     [".md"],
-    ["build/test_defaults.py", "build/test_reference.py"],
+    ["tasks/test_defaults.py", "tasks/test_reference.py"],
     [
         *("comparison/test_command.py", "comparison/test_processes.py", "comparison/test_rows.py"),
         *("comparison/test_run_episodes.py", "comparison/test_page.py"),

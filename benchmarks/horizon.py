@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 
-from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.control.adaptive_horizon import (
     AdaptiveHorizon,
     HorizonByClearance,
@@ -17,6 +16,7 @@ from jaxplore.control.adaptive_horizon import (
 from jaxplore.control.mppi import MPPI
 from jaxplore.report.statistics import paired_difference
 from jaxplore.study.experiments import record_alone
+from jaxplore.tasks.registry import build, find_task, make_settings
 
 SHORT, USUAL, LONG = 20, 40, 60
 RULES: dict[str, HorizonRule] = {

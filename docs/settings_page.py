@@ -4,7 +4,7 @@
 from pathlib import Path
 
 import jaxplore
-from jaxplore.settings.reference import KINDS, Row, plain, rows, sections
+from jaxplore.tasks.reference import KINDS, Row, plain, rows, sections
 
 PAGE = Path(__file__).parent / "settings.md"
 KNOWN = Path(jaxplore.__file__).parent / "cli" / "known.json"

@@ -15,11 +15,11 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore._locks import reserve_hidden_folder
-from jaxplore.build.exploration import choose_architectures
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import _show, _streams, main
 from jaxplore.cli._entries import option_entries
 from jaxplore.report.folder import is_reserved
+from jaxplore.tasks.exploration.build import choose_architectures
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 

@@ -19,8 +19,6 @@ import yaml
 
 import jaxplore as jx
 from jaxplore import Metrics, compare
-from jaxplore.build import controllers as building
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
@@ -29,6 +27,8 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import _initial_memory, _initial_task, frame_arrays, run_chunk
 from jaxplore.study import Comparison
 from jaxplore.study import experiments as running
+from jaxplore.tasks.exploration import controllers as building
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 

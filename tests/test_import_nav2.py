@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from jaxplore import DifferentialDrive, Omnidirectional
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
-from jaxplore.settings.nav2 import read_nav2
+from jaxplore.ros.nav2 import read_nav2
+from jaxplore.tasks.registry import build, make_settings
 
 PLUGIN = "nav2_mppi_controller::MPPIController"
 FOLLOW = {

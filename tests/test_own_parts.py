@@ -15,19 +15,19 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.build.user_code import hash_user_code
 from jaxplore.cli import main
 from jaxplore.settings.sections import read_settings
 from jaxplore.study.comparison.episodes import make_episodes
 from jaxplore.study.comparison.maps import maps_in
 from jaxplore.study.comparison.row_task import RowTask
 from jaxplore.study.runner import Runner
+from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.user_code import hash_user_code
 
 MINE = """
     import jax.numpy as jnp
     import jaxplore as jx
-    from jaxplore.build.tasks import build, make_settings
+    from jaxplore.tasks.registry import build, make_settings
 
 
     class Near(jx.planning.TargetRule):

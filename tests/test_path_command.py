@@ -9,9 +9,9 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.tasks import build
 from jaxplore.cli import main
-from jaxplore.settings.path import make_path_settings
+from jaxplore.tasks.path.settings import make_path_settings
+from jaxplore.tasks.registry import build
 
 pytestmark = pytest.mark.long
 

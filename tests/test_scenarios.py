@@ -15,13 +15,13 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.parts import AnomalyTest, IdlenessMap
-from jaxplore.settings.exploration import SCENARIOS, is_scenario_file, read_settings
-from jaxplore.settings.exploration import scenario_path as path_of
 from jaxplore.simulation.loop import initial_loop_state, moment_at
 from jaxplore.simulation.state import LoopState
+from jaxplore.tasks.exploration.settings import SCENARIOS, is_scenario_file, read_settings
+from jaxplore.tasks.exploration.settings import scenario_path as path_of
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 
@@ -221,7 +221,7 @@ def test_a_scenario_runs_by_its_name(capsys, monkeypatch: pytest.MonkeyPatch) ->
         return Path("yard.yaml")
 
     write("yard.yaml")
-    monkeypatch.setattr("jaxplore.settings.exploration.scenario_path", found)
+    monkeypatch.setattr("jaxplore.tasks.exploration.settings.scenario_path", found)
     arguments = ["--time-limit", "0.2", "--samples", "8", "--no-animation"]
     main(["run", "warehouse", *arguments, "--out", "it"])
     assert set(asked) == {"warehouse"}

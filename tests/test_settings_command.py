@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from click.shell_completion import ShellComplete
 
-from jaxplore.build.tasks import make_settings
 from jaxplore.cli import cli, main
 from jaxplore.cli._entries import option_entries
-from jaxplore.settings.reference import PLACES, find_rows, setting_names
 from jaxplore.study.tuning.optimizers import NAMES
+from jaxplore.tasks.reference import PLACES, find_rows, setting_names
+from jaxplore.tasks.registry import make_settings
 
 
 @pytest.fixture(autouse=True)

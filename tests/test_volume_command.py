@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.build.volume import build_sensors, build_world, volume_size
 from jaxplore.cli import main
 from jaxplore.maps.files.volume_file import open_volume
-from jaxplore.settings.volume import GENERATED
+from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.volume.build import build_sensors, build_world, volume_size
+from jaxplore.tasks.volume.settings import GENERATED
 
 # As in the tests of volumes elsewhere, which run these programs too.
 FEW = (
@@ -112,7 +112,7 @@ def test_a_file_is_read_once_until_it_changes(room: Path, monkeypatch) -> None:
         read.append(arguments)
         return open_volume(*arguments, **more)
 
-    monkeypatch.setattr("jaxplore.build.volume.open_volume", counted)
+    monkeypatch.setattr("jaxplore.tasks.volume.build.open_volume", counted)
     settings = make_settings({"volume": str(room / "room.npy"), "resolution": 0.2})
     assert volume_size(settings) == volume_size(settings) == ((12, 20, 40), 0.2)
     worlds = [build_world(settings)[0] for _ in range(2)]

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from jaxplore.settings.exploration import ARCHITECTURES
 from jaxplore.study.comparison.episodes import (
     MapEpisode,
     common_settings,
@@ -13,6 +12,7 @@ from jaxplore.study.comparison.episodes import (
     make_episodes,
 )
 from jaxplore.study.comparison.maps import MapFile, maps_in
+from jaxplore.tasks.exploration.settings import ARCHITECTURES
 
 TASK = MapEpisode("hall", "/a/hall.yaml", "c0ffee", "explorer", 3, {"time_limit": 9.0, "seed": 1})
 

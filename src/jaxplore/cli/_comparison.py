@@ -8,7 +8,6 @@ from typing import Any
 
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import MOST_AT_ONCE, MOST_SEEDS
-from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import Pictures, take_pictures
@@ -18,7 +17,6 @@ from jaxplore.cli._terminal import say
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.table import print_table
-from jaxplore.settings.exploration import GROUND, QUADROTOR, merge_entries
 from jaxplore.settings.sections import RunSettings
 from jaxplore.study.comparison.compare import compare
 from jaxplore.study.comparison.compare_maps import MapComparison, compare_maps
@@ -28,6 +26,8 @@ from jaxplore.study.comparison.store import Plan
 from jaxplore.study.runner import Runner
 from jaxplore.study.seeds import check_number_of_seeds
 from jaxplore.study.variants import make_variants
+from jaxplore.tasks.exploration.settings import GROUND, QUADROTOR, merge_entries
+from jaxplore.tasks.registry import build, find_task, make_settings
 
 _OF_MAPS = ("starts", "batch")
 """Options for --maps only."""

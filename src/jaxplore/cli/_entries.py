@@ -8,17 +8,17 @@ from jaxplore._files import YAML_SUFFIXES, parse_yaml, yaml_beside
 from jaxplore._spelling import match_spelling
 from jaxplore._text import printable_path, short_repr
 from jaxplore.maps.files.volume_file import SUFFIXES
-from jaxplore.settings.exploration import (
+from jaxplore.settings.fleet import FLEET
+from jaxplore.settings.node import part_node
+from jaxplore.tasks.exploration.settings import (
     OFFICE,
     SCENARIOS,
     ZONES,
     is_scenario_file,
     read_settings,
 )
-from jaxplore.settings.fleet import FLEET
-from jaxplore.settings.node import part_node
-from jaxplore.settings.path import PATH, TRACK
-from jaxplore.settings.volume import GENERATED, VOLUME, names_volume
+from jaxplore.tasks.path.settings import PATH, TRACK
+from jaxplore.tasks.volume.settings import GENERATED, VOLUME, names_volume
 
 _OF_PATHS = {"laps": "laps", "obstacles": "obstacles.number"}
 """Options of path following only, and their settings."""

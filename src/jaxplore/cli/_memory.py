@@ -27,7 +27,7 @@ def memory_limit(options: dict[str, Any]) -> float:
     given = options.pop("memory_limit")
     if given is None:
         # Imported here, so that the help needs no JAX.
-        from jaxplore.build.memory_limit import default_limit
+        from jaxplore.tasks.memory_limit import default_limit
 
         return default_limit()
     if not (math.isfinite(given) and given > 0.0):
@@ -49,7 +49,7 @@ def check_memory(
     Without `node` they are simulations. Each of `num_runs` processes has `batch` runs in one
     program. Unless `must_be_readable`, a run whose map cannot be read is not checked.
     """
-    from jaxplore.build.needs import check_needs, needs
+    from jaxplore.tasks.needs import check_needs, needs
 
     for settings in runs:
         try:

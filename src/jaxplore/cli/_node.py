@@ -12,13 +12,6 @@ import jax
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import LONGEST_LATENCY
 from jaxplore._signals import stop_requests
-from jaxplore.build.onboard import (
-    build_goal_chooser,
-    build_pilot,
-    check_no_mount,
-    make_node_settings,
-)
-from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._show import free_name, reserve, show_starts
@@ -36,13 +29,20 @@ from jaxplore.ros.link import connect
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
-from jaxplore.settings.exploration import Settings
 from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.ros_names import check_namespace
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.monitor import Monitor
 from jaxplore.simulation.run import Run
+from jaxplore.tasks.exploration.pilot import (
+    build_goal_chooser,
+    build_pilot,
+    check_no_mount,
+    make_node_settings,
+)
+from jaxplore.tasks.exploration.settings import Settings
+from jaxplore.tasks.registry import build, find_task, make_settings
 
 _MOST = {"delay": LONGEST_LATENCY, "drift": 1.0}
 """Greatest values of options of the simulated robot."""

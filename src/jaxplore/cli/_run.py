@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._text import printable_path
-from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
@@ -17,6 +16,7 @@ from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_rec
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import NUM_TRAJECTORIES, Run, simulate
+from jaxplore.tasks.registry import build, find_task, make_settings
 
 SETTINGS = "settings.yaml"
 """File of the settings in a run folder."""

@@ -4,9 +4,9 @@ from jaxplore.cli._known import load_known
 from jaxplore.cli._terminal import say
 from jaxplore.parameters import nearest
 from jaxplore.report.table import print_table
-from jaxplore.settings.commented_yaml import to_commented_yaml
-from jaxplore.settings.exploration import OFFICE
-from jaxplore.settings.reference import (
+from jaxplore.tasks.commented_yaml import to_commented_yaml
+from jaxplore.tasks.exploration.settings import OFFICE
+from jaxplore.tasks.reference import (
     KINDS,
     PLACES,
     Row,

@@ -13,10 +13,10 @@ from jaxplore.cli._pictures import Pictures
 from jaxplore.cli._terminal import say
 from jaxplore.report.folder import is_reserved, reserve_folder
 from jaxplore.report.table import print_table, transpose
-from jaxplore.settings.reference import why_unread
 from jaxplore.settings.sections import RunSettings, Section
 from jaxplore.simulation.run import Run
 from jaxplore.study.comparison.comparison import Comparison
+from jaxplore.tasks.reference import why_unread
 
 type Entries = Mapping[str, Any]
 """Settings as in a settings file."""

@@ -6,7 +6,6 @@ from typing import Any
 
 from jaxplore._exit import INTERRUPTED
 from jaxplore._limits import MOST_AT_ONCE, MOST_SEEDS
-from jaxplore.build.tasks import find_task, make_settings
 from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
@@ -17,6 +16,7 @@ from jaxplore.cli._tune_options import OWN
 from jaxplore.report.table import print_table
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import build_space, tune
+from jaxplore.tasks.registry import find_task, make_settings
 
 
 def run_tune(options: dict[str, Any], out: Path | None) -> None:

@@ -7,9 +7,9 @@ from typing import Any
 
 from jaxplore._limits import LONGEST_TIME, MOST_CANDIDATES
 from jaxplore.cli._entries import folder_name, map_entries, option_entries
-from jaxplore.settings.exploration import merge_entries, read_settings
-from jaxplore.settings.path import PATH
 from jaxplore.study.tuning.search import Measure
+from jaxplore.tasks.exploration.settings import merge_entries, read_settings
+from jaxplore.tasks.path.settings import PATH
 
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 

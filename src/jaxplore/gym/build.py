@@ -6,11 +6,8 @@ from typing import Any
 
 from jaxplore import _checks
 from jaxplore._limits import MOST_AT_ONCE
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.planning.presets.explorer import waypoint_mppi
 from jaxplore.settings.defaults import parameter_default
-from jaxplore.settings.exploration import OFFICE, Settings
-from jaxplore.settings.path import PATH
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.environment.action_modes import (
     ActionMode,
@@ -19,6 +16,9 @@ from jaxplore.simulation.environment.action_modes import (
 )
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.scenario import Scenario
+from jaxplore.tasks.exploration.settings import OFFICE, Settings
+from jaxplore.tasks.path.settings import PATH
+from jaxplore.tasks.registry import build, make_settings
 
 DRIVE = {name: parameter_default(waypoint_mppi, name) for name in ("horizon", "num_samples")}
 """Default settings of the controller that drives to waypoints."""

@@ -13,13 +13,6 @@ from jaxplore import _checks, _kinds
 from jaxplore._optional import import_optional
 from jaxplore._version import __version__
 from jaxplore.control.base import Controller
-from jaxplore.recorder.channels import Channels
-from jaxplore.recorder.content import Content
-from jaxplore.recorder.exploration import ExplorationContent
-from jaxplore.recorder.fleet import FleetContent
-from jaxplore.recorder.following import PathContent
-from jaxplore.recorder.messages import EXTRA
-from jaxplore.recorder.volume import VolumeContent
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.folder import whole_file
@@ -27,6 +20,13 @@ from jaxplore.report.following.data import PathData
 from jaxplore.report.recording import Recording
 from jaxplore.report.volume.data import VolumeData
 from jaxplore.simulation.monitor import Monitor, Update
+from jaxplore.tasks.exploration.fleet_topics import FleetContent
+from jaxplore.tasks.exploration.topics import ExplorationContent
+from jaxplore.tasks.path.topics import PathContent
+from jaxplore.tasks.volume.topics import VolumeContent
+from jaxplore.topics.channels import Channels
+from jaxplore.topics.content import Content
+from jaxplore.topics.messages import EXTRA
 
 SUFFIX = ".mcap"
 UPDATE_SECONDS = 0.1

@@ -11,6 +11,7 @@ from jaxplore.planning.portfolio.voting import WeightedVote
 from jaxplore.planning.presets.explorer import explorer
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
+from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.sections import (
@@ -147,3 +148,24 @@ class InformativeSettings(Section):
     height_weight: NonNegative = setting(Flight, "height_weight")
     speed_weight: NonNegative = setting(Flight, "speed_weight")
     control_weight: NonNegative = setting(Flight, "control_weight")
+
+
+class ContouringNumbers(Section):
+    """Contouring control along any path: see `jaxplore.mpcc`."""
+
+    parameterisation: ParameterisationName = setting(mpcc, "parameterisation")
+    noise: Literal["gaussian", "coloured"] = setting(mpcc, "noise")
+    weighting: WeightingName = setting(mpcc, "weighting")
+    effective_share: Share = setting(mpcc, "effective_share")
+    horizon: StepsAhead = setting(mpcc, "horizon")
+    num_samples: Samples = setting(mpcc, "num_samples")
+    dt: Step = setting(mpcc, "dt")
+    temperature: Positive = setting(mpcc, "temperature")
+    contouring_weight: NonNegative = setting(mpcc, "contouring_weight")
+    lag_weight: NonNegative = setting(mpcc, "lag_weight")
+    progress_weight: NonNegative = setting(mpcc, "progress_weight")
+    noise_share: Positive = setting(mpcc, "noise_share")
+    progress_noise: Positive = setting(mpcc, "progress_noise")
+    max_lateral: Positive = setting(mpcc, "max_lateral")
+    max_longitudinal: Positive = setting(mpcc, "max_longitudinal")
+    comfort_weight: NonNegative = setting(mpcc, "comfort_weight")

@@ -7,8 +7,8 @@ from jaxplore.onboard.options import PilotOptions
 from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.report.drawing.rollout_costs import WEIGHT
 from jaxplore.sensing.no_echo import NoEchoRule
+from jaxplore.settings.controllers import ContouringNumbers
 from jaxplore.settings.defaults import setting
-from jaxplore.settings.path import ContouringNumbers
 from jaxplore.settings.ros_names import Namespace, Topic
 from jaxplore.settings.sections import (
     Duration,

@@ -9,9 +9,9 @@ from typing import Any
 
 from jaxplore._files import parse_yaml
 from jaxplore._text import short_repr
-from jaxplore.settings.exploration import Settings, merge_entries, read_settings
-from jaxplore.settings.path import PathSettings
-from jaxplore.settings.volume import VolumeSettings
+from jaxplore.tasks.exploration.settings import Settings, merge_entries, read_settings
+from jaxplore.tasks.path.settings import PathSettings
+from jaxplore.tasks.volume.settings import VolumeSettings
 
 Entries = Mapping[str, Any]
 """Settings as in a settings file."""

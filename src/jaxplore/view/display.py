@@ -11,14 +11,14 @@ from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.following.data import PathData
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.report.volume.data import VolumeData
-from jaxplore.view.animation import PictureScene
+from jaxplore.scenes.picture import PictureScene
+from jaxplore.scenes.scene import Scene
+from jaxplore.tasks.exploration.scene import ExplorationScene
+from jaxplore.tasks.path.scene import PathScene
+from jaxplore.tasks.volume.scene import VolumeScene
 from jaxplore.view.curves import Curves
-from jaxplore.view.exploration import ExplorationScene
-from jaxplore.view.following import PathScene
 from jaxplore.view.history import History, plain
 from jaxplore.view.rollouts import RolloutColours
-from jaxplore.view.scene import Scene
-from jaxplore.view.volume import VolumeScene
 
 if TYPE_CHECKING:
     import viser

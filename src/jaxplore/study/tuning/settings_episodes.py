@@ -8,14 +8,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.build.user_code import hash_user_code, import_rule
 from jaxplore.control.base import Controller
 from jaxplore.maps.files.packing import read_files
 from jaxplore.maps.files.path_file import read_path_file
 from jaxplore.parameters import get_parameters, nearest, set_parameters
 from jaxplore.settings.code_names import is_own
-from jaxplore.settings.exploration import BASELINES
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.study.episode import InputFile
@@ -33,6 +30,9 @@ from jaxplore.study.tuning.episodes import (
 )
 from jaxplore.study.tuning.objective import list_metrics
 from jaxplore.study.tuning.space import Candidate, Space, Value
+from jaxplore.tasks.exploration.settings import BASELINES
+from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.user_code import hash_user_code, import_rule
 
 Entries = Mapping[str, Any]
 """Settings as in a settings file."""
