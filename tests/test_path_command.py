@@ -135,7 +135,7 @@ def test_settings_become_what_they_say(file: Path) -> None:
     [
         (["run", "path", "--path", "no.csv"], "no.csv"),
         (["run", "office", "--path", "half.csv"], "--path is 'half.csv' beside the map 'office'"),
-        (["run", "office", "--laps", "2"], "--laps is 2; accepted: along a path"),
+        (["run", "office", "--laps", "2"], "laps is 2 on a map; accepted: along a path"),
         (["run", "path", "--laps", "0"], "setting laps is 0"),
         (["run", "path", "--fps", "0"], "fps is 0.0; accepted"),
         (["run", "path", "--fps", "60"], "fps of a GIF is 60.0; accepted"),
@@ -146,8 +146,14 @@ def test_settings_become_what_they_say(file: Path) -> None:
         (["run", "path", "--figures", "jpg"], "figures is 'jpg'; accepted"),
         (["compare", "path", "--film-scale", "0"], "scale is 0.0; accepted"),
         (["tune", "path", "--figures", "jpg"], "figures is 'jpg'; accepted"),
-        (["run", "path", "--beams", "20"], "lidar.num_beams is 20 beside a path"),
-        (["run", "path", "--goal", "1", "2"], "goal is (1.0, 2.0) beside a path"),
+        (
+            ["run", "path", "--beams", "20"],
+            "lidar.num_beams is 20 along a path; accepted: on a map",
+        ),
+        (
+            ["run", "path", "--goal", "1", "2"],
+            "goal is (1.0, 2.0) along a path; accepted: on a map",
+        ),
         (["run", "path", "--robot", "quadrotor"], "setting robot.model is 'quadrotor'"),
         (["run", "path", "--set", "controller.speed=1"], "unknown setting controller.speed"),
         (["run", "path", "--obstacles", "-1"], "setting obstacles.number is -1"),

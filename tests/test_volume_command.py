@@ -75,8 +75,8 @@ def test_words_name_volumes(name: str) -> None:
         (("forest", "--start", "0", "0", "0", "0"), "start is (0, 0, 0), within 0.3 m of a solid"),
         (("forest", "--start", "99", "0", "0", "0"), "start is (99, 0, 0), off the volume; accep"),
         (("office", "--start", "2", "2", "1", "0"), "setting start is (2.0, 2.0, 1.0, 0.0); acce"),
-        (("forest", "--beams", "20"), "lidar.num_beams is 20 beside a volume; accepted: with a m"),
-        (("forest", "--laps", "2"), "laps is 2 beside a volume"),
+        (("forest", "--beams", "20"), "lidar.num_beams is 20 in a volume; accepted: on a map"),
+        (("forest", "--laps", "2"), "laps is 2 in a volume; accepted: along a path"),
         (("forest", "--architecture", "portfolio"), "setting architecture is 'portfolio'; accept"),
         (("forest", "--set", "camera=null"), "settings camera and lidar are null; accepted: one"),
         (

@@ -1,6 +1,7 @@
 """Every number that a user gives has bounds, and what a run needs is estimated before it starts."""
 
 import itertools
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,17 +19,25 @@ from jaxplore.cli._tune_entries import parse_budget
 from jaxplore.maps.files.images import image_size, read_greys
 from jaxplore.maps.files.ros import map_size
 from jaxplore.maps.padding import choose_padded_shape
-from jaxplore.settings.sections import section_class
+from jaxplore.settings.sections import RunSettings, section_class
 from jaxplore.simulation.chunks import MAX_FRAMES, are_too_many
 from jaxplore.study.seeds import check_number_of_runs, check_number_of_seeds
 from jaxplore.study.tuning.search import Measure
+from jaxplore.tasks.exploration.memory import estimate_exploration
 from jaxplore.tasks.exploration.pilot import make_node_settings
+from jaxplore.tasks.memory import Part, check_needs
 from jaxplore.tasks.memory_limit import SHARE, default_limit
-from jaxplore.tasks.needs import check_needs, needs
-from jaxplore.tasks.reference import KINDS
-from jaxplore.tasks.registry import make_settings
+from jaxplore.tasks.reference import classes
+from jaxplore.tasks.registry import kind_of, make_settings
 
 BILLION = 1_000_000_000
+
+
+def needs(settings: RunSettings) -> tuple[Part, ...]:
+    """Estimate the memory of a run, part by part."""
+    return kind_of(settings).needs(settings, math.inf)
+
+
 FREE = {"world", "variation.parameters.*"}
 """Entries whose sizes are checked elsewhere: those of a world."""
 
@@ -63,9 +72,9 @@ def settings_leaves(section: type[BaseModel], prefix: str = "") -> Iterator[tupl
             yield from leaves(properties[name], prefix + name)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", classes())
 def test_every_number_and_every_length_of_the_settings_has_a_bound(kind: str) -> None:
-    found = list(settings_leaves(KINDS[kind]))
+    found = list(settings_leaves(classes()[kind]))
     assert len(found) > 20
     for name, schema in found:
         if name in FREE:
@@ -303,8 +312,10 @@ def test_a_run_beyond_the_limit_is_refused() -> None:
 
 def test_a_drive_needs_a_map_of_its_own_size() -> None:
     small, large = (
-        sum(part.size for part in needs(*make_node_settings({"node": {"map_size": size}})))
-        for size in (50.0, 400.0)
+        sum(part.size for part in estimate_exploration(settings, node=node))
+        for settings, node in (
+            make_node_settings({"node": {"map_size": size}}) for size in (50.0, 400.0)
+        )
     )
     assert small < 1.5e9 < 4e9 < large
 

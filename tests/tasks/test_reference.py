@@ -11,15 +11,12 @@ from PIL import Image
 import jaxplore as jx
 from jaxplore.settings.defaults import DIFFERENCES
 from jaxplore.settings.sections import Section, section_class
-from jaxplore.tasks import registry as tasks
 from jaxplore.tasks.commented_yaml import to_commented_yaml
 from jaxplore.tasks.exploration.settings import Settings
 from jaxplore.tasks.path.settings import PathSettings
 from jaxplore.tasks.reference import (
-    KINDS,
-    PLACES,
-    TASKS,
     Row,
+    classes,
     controller_parameter,
     find_rows,
     place_settings,
@@ -27,7 +24,7 @@ from jaxplore.tasks.reference import (
     sections,
     setting_names,
 )
-from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.registry import build, make_settings, places
 from jaxplore.tasks.volume.settings import GENERATED, VolumeSettings
 
 
@@ -37,8 +34,6 @@ def row_of(name: str, task: str = "exploration") -> Row:
 
 
 def test_every_setting_has_one_row_with_a_meaning() -> None:
-    assert {name: task.settings for name, task in tasks.TASKS.items()} == TASKS
-
     def names(task, section, prefix=""):
         for name, field in section.model_fields.items():
             inner = section_class(field.annotation)
@@ -48,7 +43,7 @@ def test_every_setting_has_one_row_with_a_meaning() -> None:
                 assert sections()[task, prefix + name]
                 yield from names(task, inner, f"{prefix}{name}.")
 
-    expected = [each for task, kind in KINDS.items() for each in names(task, kind)]
+    expected = [each for task, kind in classes().items() for each in names(task, kind)]
     assert [(row.task, row.name) for row in rows()] == expected
     for row in rows():
         assert row.meaning
@@ -112,7 +107,7 @@ def test_accepted_values_are_words(name: str, task: str, accepted: str) -> None:
 def test_every_difference_is_in_a_note() -> None:
     for key, difference in DIFFERENCES.items():
         kind, _, name = key.partition(".")
-        row = row_of(name, kind if kind in KINDS else "exploration")
+        row = row_of(name, kind if kind in classes() else "exploration")
         assert any(difference.reason in note for note in row.notes), key
 
 
@@ -121,7 +116,7 @@ def test_every_difference_is_in_a_note() -> None:
 MAP = {"map": "map.yaml", "start": (1.5, 1.5, 0.0), "resolution": 0.1}
 FOREST = {"volume": "forest", "generated": {"size": (8.0, 6.0, 2.4)}, "resolution": 0.2}
 CASES: dict[str, dict[str, Any]] = {
-    **{place: {"map": place} for place in PLACES},
+    **{place: {"map": place} for place in places()},
     # Small, because what is read does not depend on the size. A maze has two storeys.
     **{
         place: {**FOREST, "volume": place, "generated": {"size": (8.0, 6.0, height)}}
@@ -202,7 +197,7 @@ NOT_READ_BY_BUILDING = {"map", "world", "path", "volume", "architecture", "goal"
 @pytest.mark.parametrize("case", CASES)
 def test_what_a_run_reads_is_what_the_reference_says(case: str, read: set[str]) -> None:
     settings = make_settings(CASES[case])
-    known = [row for row in rows() if KINDS[row.task] is type(settings)]
+    known = [row for row in rows() if classes()[row.task] is type(settings)]
     expected = {row.name for row in known if row.reader.reads(settings)}
     read.clear()
     build(settings)
@@ -257,7 +252,7 @@ def test_a_setting_sets_the_parameter_that_its_row_names(case: str) -> None:
 # YAML with comments
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", places())
 def test_the_yaml_with_comments_is_read_as_equal_settings(place: str) -> None:
     text = to_commented_yaml(place_settings(place))
     assert make_settings(yaml.safe_load(text)) == make_settings({"map": place})

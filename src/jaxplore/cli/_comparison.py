@@ -8,7 +8,7 @@ from typing import Any
 
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import MOST_AT_ONCE, MOST_SEEDS
-from jaxplore.cli._entries import folder_name, option_entries
+from jaxplore.cli._entries import option_entries
 from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import Pictures, take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
@@ -27,7 +27,7 @@ from jaxplore.study.runner import Runner
 from jaxplore.study.seeds import check_number_of_seeds
 from jaxplore.study.variants import make_variants
 from jaxplore.tasks.exploration.settings import GROUND, QUADROTOR, merge_entries
-from jaxplore.tasks.registry import build, find_task, make_settings
+from jaxplore.tasks.registry import build, find_kind, folder_name, make_settings
 
 _OF_MAPS = ("starts", "batch")
 """Options for --maps only."""
@@ -89,7 +89,7 @@ def _in_one_place(
     entries = option_entries(options)
     if not variants:
         variants = {
-            name: {"architecture": name} for name in find_task(entries).architectures(entries)
+            name: {"architecture": name} for name in find_kind(entries).architectures(entries)
         }
     if not variants:
         raise ValueError(
@@ -97,7 +97,7 @@ def _in_one_place(
         )
     given = {name: merge_entries(entries, own) for name, own in variants.items()}
     check_memory(map(make_settings, given.values()), limit, num_runs=runner.num_processes)
-    started = {name: find_task(each).with_start(each) for name, each in given.items()}
+    started = {name: find_kind(each).with_start(each) for name, each in given.items()}
     settings = {name: make_settings(each) for name, each in started.items()}
     _check_one_robot(settings)
     common = next(iter(settings.values()))
@@ -114,7 +114,7 @@ def _in_one_place(
     # Defaults depend on the architecture; settings.yaml stores those of the first one.
     architecture = getattr(common, "architecture", None)
     kind = {} if architecture is None else {"architecture": architecture}
-    kept = make_settings(find_task(entries).with_start({**entries, **kind}))
+    kept = make_settings(find_kind(entries).with_start({**entries, **kind}))
     own = {
         name: settings[name].model_dump(mode="json")
         for name, each in variants.items()

@@ -58,7 +58,8 @@ def from_settings() -> Known:
     from jaxplore.study.tuning.optimizers import NAMES
     from jaxplore.study.tuning.search import POPULATION
     from jaxplore.tasks.exploration.settings import BASELINES, OFFICE, make_exploration_settings
-    from jaxplore.tasks.reference import PLACES, rows, section_names, setting_names
+    from jaxplore.tasks.reference import rows, section_names, setting_names
+    from jaxplore.tasks.registry import places
 
     ground, flying = (
         dict(
@@ -79,7 +80,7 @@ def from_settings() -> Known:
         {each: [ground[each], flying[each]] if each in ground else [] for each in setting_names()},
         words,
         list(section_names()),
-        list(PLACES),
+        list(places()),
         list(BASELINES),
         list(NAMES),
         POPULATION,

@@ -12,7 +12,7 @@ import jax
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import LONGEST_LATENCY
 from jaxplore._signals import stop_requests
-from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
+from jaxplore.cli._entries import assign, assign_all, option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._show import free_name, reserve, show_starts
 from jaxplore.cli._terminal import say
@@ -42,7 +42,7 @@ from jaxplore.tasks.exploration.pilot import (
     make_node_settings,
 )
 from jaxplore.tasks.exploration.settings import Settings
-from jaxplore.tasks.registry import build, find_task, make_settings
+from jaxplore.tasks.registry import build, find_kind, folder_name, make_settings
 
 _MOST = {"delay": LONGEST_LATENCY, "drift": 1.0}
 """Greatest values of options of the simulated robot."""
@@ -237,7 +237,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
         )
     given = option_entries(options)
     check_memory([make_settings(given)], limit)
-    entries = find_task(given).with_start(given)
+    entries = find_kind(given).with_start(given)
     settings = make_settings(entries)
     if isinstance(settings, Settings):
         check_no_mount(settings, "--mount and --turning")

@@ -16,7 +16,7 @@ from jaxplore.cli._tune_options import OWN
 from jaxplore.report.table import print_table
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import build_space, tune
-from jaxplore.tasks.registry import find_task, make_settings
+from jaxplore.tasks.registry import find_kind, make_settings
 
 
 def run_tune(options: dict[str, Any], out: Path | None) -> None:
@@ -48,7 +48,7 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
         num_runs=runner.num_processes,
         batch=given["batch"],
     )
-    scenarios = {name: find_task(each).with_start(each) for name, each in asked.items()}
+    scenarios = {name: find_kind(each).with_start(each) for name, each in asked.items()}
     # With one place, the settings of the first scenario are those that the search writes.
     first_name = next(iter(asked))
     if common is asked[first_name]:

@@ -17,8 +17,7 @@ from jaxplore.simulation.environment.action_modes import (
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.tasks.exploration.settings import OFFICE, Settings
-from jaxplore.tasks.path.settings import PATH
-from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.registry import build, default_kind, find_kind, make_settings
 
 DRIVE = {name: parameter_default(waypoint_mppi, name) for name in ("horizon", "num_samples")}
 """Default settings of the controller that drives to waypoints."""
@@ -54,7 +53,8 @@ def build_environment(
         num_floors: number of generated offices, with the seeds from `office.seed` on; each episode
             draws one of them.
         settings: settings of a run, as in a settings file. With a `path` the task is path
-            following, otherwise exploration; the map is the office unless another is given.
+            following, with a `volume` the exploration of one, otherwise that of a map; the map
+            is the office unless another is given.
             `time_limit` ends an episode, `controller` is the MPPI of waypoints.
 
     Raises:
@@ -105,7 +105,7 @@ def _check_settings(scenario: object, settings: dict[str, Any]) -> RunSettings:
                     f"setting {name} is given beside a scenario; accepted: "
                     + ", ".join(BESIDE_A_SCENARIO)
                 )
-    if PATH in settings:
+    if find_kind(settings) is not default_kind():
         return make_settings(settings)
     entries = {"map": OFFICE, "controller": {}, **settings}
     if isinstance(entries["map"], os.PathLike):

@@ -12,9 +12,9 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
-    ValidationInfo,
     field_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxplore._files import parse_yaml, read_bytes
@@ -115,7 +115,7 @@ class Section(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _match_spelling(cls, value: Any, info: ValidationInfo) -> Any:
+    def _match_spelling(cls, value: Any, info: Any) -> Any:
         """Accept words in either spelling, `weighted_vote` and `weighted-vote`."""
         annotation = cls.model_fields[str(info.field_name)].annotation
         return (
@@ -321,6 +321,16 @@ def _is_text(name: object) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def find_field(section: type[BaseModel], name: str) -> FieldInfo | None:
+    """Return the field of a setting by its dotted name; None for an unknown name."""
+    first, _, rest = name.partition(".")
+    field = section.model_fields.get(first)
+    if field is None or not rest:
+        return field
+    inner = section_class(field.annotation)
+    return None if inner is None else find_field(inner, rest)
 
 
 def section_class(annotation: Any) -> type[BaseModel] | None:

@@ -8,7 +8,8 @@ import yaml
 from pydantic import BaseModel
 
 from jaxplore.settings.sections import RunSettings, section_class
-from jaxplore.tasks.reference import TASKS, Row, rows, sections
+from jaxplore.tasks.reference import Row, rows, sections
+from jaxplore.tasks.registry import kind_of
 
 _WIDTH = 100
 _INDENT = "  "
@@ -24,7 +25,7 @@ def to_commented_yaml(settings: RunSettings) -> str:
     Args:
         settings: checked settings.
     """
-    task = next(name for name, kind in TASKS.items() if type(settings) is kind)
+    task = kind_of(settings).name
     known = {row.name: row for row in rows() if row.task == task}
     values = settings.model_dump(mode="json")
     lines = [*_comment(_BEGINNING), ""]

@@ -69,10 +69,10 @@ def reader(task: str, name: str, owner: str | None) -> Reader:
         name: dotted name of the setting.
         owner: qualified name of its owner; none for a setting without.
     """
-    named = _BY_NAME[task]
+    named = _BY_NAME.get(task, {})
     if name in named:
         return named[name]
-    of_owner = {each.__qualname__: found for each, found in _BY_OWNER[task].items()}
+    of_owner = {each.__qualname__: found for each, found in _BY_OWNER.get(task, {}).items()}
     if owner in of_owner:
         return of_owner[owner]
     # The last resort is the section: `portfolio` for `portfolio.fusion`.

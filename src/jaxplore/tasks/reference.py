@@ -16,32 +16,26 @@ from jaxplore.settings.defaults import DIFFERENCES, description_in, descriptions
 from jaxplore.settings.node import DriveSettings
 from jaxplore.settings.parameter_names import PER_METRE, controller_parameter
 from jaxplore.settings.sections import RunSettings, section_class
-from jaxplore.tasks.exploration.settings import (
-    OFFICE,
-    QUADROTOR,
-    SCENARIOS,
-    ZONES,
-    Settings,
-    make_exploration_settings,
-)
-from jaxplore.tasks.path.settings import PATH, TRACK, PathSettings, make_path_settings
+from jaxplore.tasks.exploration.settings import QUADROTOR
 from jaxplore.tasks.readers import EVERY, NONE, Reader, reader
-from jaxplore.tasks.volume.settings import GENERATED, VOLUME, VolumeSettings, make_volume_settings
+from jaxplore.tasks.registry import KINDS, make_settings, places
 
-TASKS: dict[str, type[RunSettings]] = {
-    "exploration": Settings,
-    "path": PathSettings,
-    "volume": VolumeSettings,
-}
-"""Settings of each kind of task."""
-KINDS: dict[str, type[BaseModel]] = {**TASKS, "drive": DriveSettings}
-"""Settings of each kind of task, and those of a drive beside them."""
-PLACES = (OFFICE, ZONES, *SCENARIOS, PATH, *GENERATED)
-"""Names that stand for a map, a scenario, a path or a volume."""
+DRIVE = "drive"
+"""Name of the settings of a drive, beside those of the kinds of tasks."""
 _DEGREES = "_degrees"
 """End of the name of a setting in degrees. Owners take radians."""
 _UNNAMED = ("map", "world", "volume")
 """Settings that say what a scenario is, and are no values of its own."""
+
+
+def classes() -> dict[str, type[BaseModel]]:
+    """Return the class of the settings of each kind of task, and of those of a drive."""
+    return {**{name: kind.settings for name, kind in KINDS.items()}, DRIVE: DriveSettings}
+
+
+def titles() -> dict[str, str]:
+    """Return the headings of the settings of each kind of task, and of those of a drive."""
+    return {**{name: kind.title for name, kind in KINDS.items()}, DRIVE: "The node"}
 
 
 class Row(NamedTuple):
@@ -57,7 +51,7 @@ class Row(NamedTuple):
         accepted: accepted values in words.
         choices: accepted words; none if something else is accepted.
         reader: runs that read the setting.
-        scenarios: names of `PLACES` whose runs read it, with the defaults of each.
+        scenarios: names of places whose runs read it, with the defaults of each.
         owner: function or class that has the setting as a parameter; none for a setting without.
         notes: other defaults and their reasons, and other names; a sentence each.
     """
@@ -87,7 +81,7 @@ class Row(NamedTuple):
 
     @property
     def read_by(self) -> str:
-        """Runs that read the setting, and the names of `PLACES` that do unless all of them do."""
+        """Runs that read the setting, and the names of places that do unless all of them do."""
         if self.reader in (EVERY, NONE) or self.scenarios == _places(self.task):
             return self.reader.text
         return f"{self.reader.text} ({', '.join(self.scenarios) or 'not by default'})"
@@ -96,14 +90,16 @@ class Row(NamedTuple):
 @functools.cache
 def rows() -> tuple[Row, ...]:
     """Return the rows of all settings, those of exploration first, in the order of the settings."""
-    return tuple(row for task, kind in KINDS.items() for row in _rows(task, kind))
+    return tuple(row for task, kind in classes().items() for row in _rows(task, kind))
 
 
 @functools.cache
 def sections() -> dict[tuple[str, str], str]:
     """Return the meaning of each section by the kind of task and its name."""
     return {
-        (task, name): meaning for task, kind in KINDS.items() for name, meaning in _sections(kind)
+        (task, name): meaning
+        for task, kind in classes().items()
+        for name, meaning in _sections(kind)
     }
 
 
@@ -124,7 +120,7 @@ def why_unread(name: str, settings: Collection[RunSettings]) -> str | None:
         settings: settings of the runs.
     """
     for each in settings:
-        found = [row for row in find_rows(name) if KINDS[row.task] is type(each)]
+        found = [row for row in find_rows(name) if classes()[row.task] is type(each)]
         if not found or any(row.reader.reads(each) for row in found):
             return None
     return found[0].reader.text
@@ -142,12 +138,8 @@ def section_names() -> tuple[str, ...]:
 
 @functools.cache
 def place_settings(place: str) -> RunSettings:
-    """Return the default settings of one of the `PLACES`."""
-    if place == PATH:
-        return make_path_settings({PATH: TRACK})
-    if place in GENERATED:
-        return make_volume_settings({VOLUME: place})
-    return make_exploration_settings({"map": place})
+    """Return the default settings of one of the `places` of the registry."""
+    return make_settings(dict(places()[place]))
 
 
 def own_descriptions(section: type[BaseModel]) -> dict[str, str]:
@@ -167,8 +159,8 @@ def setting_meaning(section: type[BaseModel], name: str) -> str:
 
 
 def _places(task: str) -> tuple[str, ...]:
-    """Return the names of `PLACES` with runs of this kind of task."""
-    return tuple(each for each in PLACES if type(place_settings(each)) is KINDS[task])
+    """Return the names of places with runs of this kind of task."""
+    return tuple(KINDS[task].places) if task in KINDS else ()
 
 
 def _sections(section: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -1,65 +1,48 @@
-"""Kinds of tasks: the settings of each, and the function that builds it."""
+"""The registry of kinds of tasks. Nothing else lists them."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
+from jaxplore._files import yaml_beside
+from jaxplore._spelling import match_spelling
+from jaxplore._text import printable_path
+from jaxplore.report.recording import Recording
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.experiment import Experiment
-from jaxplore.tasks.exploration.build import build_exploration, choose_architectures, with_start
-from jaxplore.tasks.exploration.settings import Settings, make_exploration_settings
-from jaxplore.tasks.path.build import build_path_following
-from jaxplore.tasks.path.settings import PATH, TRACK, PathSettings, make_path_settings
-from jaxplore.tasks.volume.build import build_volume
-from jaxplore.tasks.volume.build import with_start as with_start_in_volume
-from jaxplore.tasks.volume.settings import GENERATED, VOLUME, VolumeSettings, make_volume_settings
+from jaxplore.tasks.exploration.kind import EXPLORATION
+from jaxplore.tasks.kind import Entries, Kind, Shown
+from jaxplore.tasks.path.kind import PATH_FOLLOWING
+from jaxplore.tasks.volume.kind import EXPLORATION_OF_VOLUME
 
-
-class Task(NamedTuple):
-    """A kind of task: the class of its settings, and functions of entries and settings.
-
-    Entries that have the setting `selector`, which names the map or path, are of this kind.
-    `architectures` returns those to compare by default; none for a task without architectures.
-    `with_start` adds a start to entries where a map has none.
-    """
-
-    selector: str
-    settings: type[RunSettings]
-    check: Callable[[dict[str, Any]], RunSettings]
-    build: Callable[[Any], Experiment]
-    architectures: Callable[[dict[str, Any]], tuple[str, ...]]
-    with_start: Callable[[dict[str, Any]], dict[str, Any]]
-
-
-COMPARED = ("explorer", "nearest-cluster", "next-best-view", "gain-per-cost")
-"""Architectures that are compared in a volume by default."""
-TASKS = {
-    "exploration": Task(
-        "map",
-        Settings,
-        make_exploration_settings,
-        build_exploration,
-        choose_architectures,
-        with_start,
-    ),
-    # A path begins where it begins.
-    "path": Task(
-        "path",
-        PathSettings,
-        make_path_settings,
-        build_path_following,
-        lambda _: (),
-        lambda entries: entries,
-    ),
-    "volume": Task(
-        VOLUME,
-        VolumeSettings,
-        make_volume_settings,
-        build_volume,
-        lambda _: COMPARED,
-        with_start_in_volume,
-    ),
+KINDS: dict[str, Kind] = {
+    each.name: each
+    for each in (
+        EXPLORATION,
+        PATH_FOLLOWING,
+        EXPLORATION_OF_VOLUME,
+    )
 }
-"""Kinds of tasks by name. The first is the default."""
+"""Kinds of tasks by name, a row each. Entries that select none are of the first."""
+
+
+def default_kind() -> Kind:
+    """Return the kind of entries that select none."""
+    return next(iter(KINDS.values()))
+
+
+def find_kind(entries: Entries) -> Kind:
+    """Return the kind of task that entries describe; see `make_settings`."""
+    entries = _with_selector(entries)
+    named = [kind for kind in KINDS.values() if kind.selector in entries]
+    if len(named) > 1:
+        given = " beside ".join(f"the {kind.selector} {entries[kind.selector]!r}" for kind in named)
+        raise ValueError(f"settings have {given}; accepted: one of them")
+    return named[0] if named else default_kind()
+
+
+def kind_of(settings: RunSettings) -> Kind:
+    """Return the kind of task of checked settings."""
+    return next(kind for kind in KINDS.values() if kind.settings is type(settings))
 
 
 def make_settings(entries: dict[str, Any]) -> RunSettings:
@@ -72,30 +55,7 @@ def make_settings(entries: dict[str, Any]) -> RunSettings:
         ValueError: a path or a volume beside a map, an unknown name or a value that is not
             accepted; one line that names it.
     """
-    entries = _with_selector(entries)
-    return find_task(entries).check(entries)
-
-
-def find_task(entries: dict[str, Any]) -> Task:
-    """Return the kind of task that entries describe; see `make_settings`."""
-    entries = _with_selector(entries)
-    named = [task for task in TASKS.values() if task.selector in entries]
-    if len(named) > 1:
-        given = " beside ".join(f"the {task.selector} {entries[task.selector]!r}" for task in named)
-        raise ValueError(f"settings have {given}; accepted: one of them")
-    return named[0] if named else TASKS["exploration"]
-
-
-def _with_selector(entries: dict[str, Any]) -> dict[str, Any]:
-    """Replace the map `path` by the path `track`, and a map named like a volume by that volume."""
-    name = entries.get("map")
-    # Beside a `world`, `map` is a free name and selects nothing.
-    if not isinstance(name, str) or entries.get("world") is not None:
-        return entries
-    rest = {each: value for each, value in entries.items() if each != "map"}
-    if name == PATH:
-        return {PATH: TRACK, **rest}
-    return {VOLUME: name, **rest} if name in (VOLUME, *GENERATED) else entries
+    return find_kind(entries).make_settings(_with_selector(entries))
 
 
 def build(settings: RunSettings) -> Experiment:
@@ -105,5 +65,106 @@ def build(settings: RunSettings) -> Experiment:
         ValueError: a file that cannot be read, a start that is not possible, or settings that a
             part rejects.
     """
-    tasks = {task.settings: task for task in TASKS.values()}
-    return tasks[type(settings)].build(settings)
+    return kind_of(settings).build(settings)
+
+
+def how_shown(recording: Recording) -> Shown:
+    """Return how a recording is shown: as its kind says, or by the pictures of its animation."""
+    for kind in KINDS.values():
+        for shown in kind.shown:
+            if isinstance(recording, shown.recording):
+                return shown
+    return Shown(type(recording))
+
+
+def places() -> dict[str, Entries]:
+    """Return the names that stand for whole runs, and the entries of each."""
+    return {name: entries for kind in KINDS.values() for name, entries in kind.places.items()}
+
+
+def words() -> dict[str, Entries]:
+    """Return the names that stand for a kind or a part of it, and their default entries."""
+    return {name: entries for kind in KINDS.values() for name, entries in kind.words.items()}
+
+
+def place_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
+    """Return the entries of a run at a place, given by its name or its file.
+
+    A file that names code must be trusted.
+
+    Raises:
+        ValueError: a file that is missing, or of no kind.
+    """
+    known = places()
+    name = match_spelling(name, tuple(known))
+    if name in known:
+        return dict(known[name])
+    file = Path(name)
+    _check_file(file)
+    suffix = file.suffix.lower()
+    kind = next((each for each in KINDS.values() if suffix in each.suffixes), default_kind())
+    return kind.read_entries(name, is_trusted=is_trusted)
+
+
+def at_place(entries: Entries, name: str, *, is_trusted: bool = False) -> dict[str, Any]:
+    """Return the entries of a settings file for a place that the user names; see `place_entries`.
+
+    They override those of a scenario, but not the place. A word stands for what they name, or for
+    its default.
+    """
+    known = words()
+    if name in known:
+        return {**known[name], **entries}
+    named = place_entries(name, is_trusted=is_trusted)
+    selector = find_kind(named).selector
+    return {**named, **entries, selector: named[selector]}
+
+
+def folder_name(entries: Entries) -> str:
+    """Return a name for folders from the place of a run.
+
+    A file that is just called `map` is named by its folder, as in a comparison on maps.
+    """
+    kind = find_kind(entries)
+    place = entries.get(kind.selector)
+    words = [name for name, given in kind.places.items() if given == {kind.selector: place}]
+    file = Path(str(place))
+    name = file.parent.name if file.stem == "map" and file.parent.name else file.stem
+    # A word that is also a section, such as `fleet`, is a part of the name.
+    parts = [word for word in kind.words if entries.get(word) is not None and word != kind.selector]
+    return "-".join([*words[:1], *parts] if words else [name, *parts])
+
+
+def _with_selector(entries: Entries) -> dict[str, Any]:
+    """Replace the name of a place of another kind under `map`, such as `path` or `forest`."""
+    first, name = default_kind(), entries.get(default_kind().selector)
+    # Beside a `world`, `map` is a free name and selects nothing.
+    if not isinstance(name, str) or entries.get("world") is not None:
+        return dict(entries)
+    rest = {each: value for each, value in entries.items() if each != first.selector}
+    for kind in KINDS.values():
+        named = {**kind.words, **kind.places}.get(name)
+        if kind is not first and named is not None:
+            return {**named, **rest}
+    return dict(entries)
+
+
+def _check_file(path: Path) -> None:
+    """Raise a `ValueError` that names what there is, if a place is not a file."""
+    files = ", ".join(kind.files for kind in KINDS.values() if kind.files)
+    names = dict.fromkeys((*places(), *words()))
+    accepted = f"{files}, or {', '.join(names)}"
+    if path.is_dir():
+        inside = sorted(path.glob("*.yaml"))
+        example = f", such as {printable_path(inside[0])}" if inside else ""
+        raise ValueError(f"{printable_path(path)} is a folder; accepted: a file{example}")
+    if not path.exists():
+        raise ValueError(f"{printable_path(path)} is not there; accepted: {accepted}")
+    endings = [suffix for kind in KINDS.values() for suffix in kind.suffixes]
+    if path.suffix and path.suffix.lower() not in endings:
+        beside = yaml_beside(path)
+        named = "" if beside is None else f"{printable_path(beside)}, which is beside it, or "
+        raise ValueError(
+            f"{printable_path(path)} is of another kind; accepted: {named}a file that ends with "
+            f"{', '.join(endings)}"
+        )

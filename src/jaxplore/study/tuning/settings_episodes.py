@@ -31,7 +31,7 @@ from jaxplore.study.tuning.episodes import (
 from jaxplore.study.tuning.objective import list_metrics
 from jaxplore.study.tuning.space import Candidate, Space, Value
 from jaxplore.tasks.exploration.settings import BASELINES
-from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.registry import build, find_kind, make_settings
 from jaxplore.tasks.user_code import hash_user_code, import_rule
 
 Entries = Mapping[str, Any]
@@ -300,13 +300,13 @@ def find_shared_entries(scenarios: Mapping[str, Entries]) -> dict[str, Any]:
 
 def _find_file(entries: Entries) -> InputFile | None:
     """Return the map or path file that settings name; None without one."""
-    setting = "path" if "path" in entries else "map"
+    setting = find_kind(entries).selector
     name = entries.get(setting)
     if not isinstance(name, str) or entries.get("world") is not None or not Path(name).is_file():
         return None
     path = str(Path(name).absolute())
     # The image belongs to the map: another image is another content.
-    data, image = (read_path_file(path), None) if setting == "path" else read_files(path)
+    data, image = read_files(path) if setting == "map" else (read_path_file(path), None)
     return InputFile(setting, path, hashlib.sha256(data + (image or b"")).hexdigest()[:16])
 
 
