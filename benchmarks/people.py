@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.setting import available_maps
+from jaxplore.settings.architectures import ARCHITECTURES
 from jaxplore.simulation.loop import run_chunk
 from jaxplore.simulation.run import record_run
-from jaxplore.tasks.exploration.settings import ARCHITECTURES
 from jaxplore.tasks.registry import build, make_settings
 
 SITES = {

@@ -9,12 +9,12 @@ import pytest
 import yaml
 
 from jaxplore.cli import main
+from jaxplore.settings.architectures import GROUND
 from jaxplore.study.comparison import compare_maps as comparing
 from jaxplore.study.comparison.episodes import MapEpisode
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.store import Store, open_store
-from jaxplore.tasks.exploration.settings import GROUND
 
 pytestmark = pytest.mark.long
 

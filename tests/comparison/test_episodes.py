@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from jaxplore.settings.architectures import ARCHITECTURES
 from jaxplore.study.comparison.episodes import (
     MapEpisode,
     common_settings,
@@ -12,7 +13,6 @@ from jaxplore.study.comparison.episodes import (
     make_episodes,
 )
 from jaxplore.study.comparison.maps import MapFile, maps_in
-from jaxplore.tasks.exploration.settings import ARCHITECTURES
 
 TASK = MapEpisode("hall", "/a/hall.yaml", "c0ffee", "explorer", 3, {"time_limit": 9.0, "seed": 1})
 

@@ -12,6 +12,7 @@ import pytest
 import jaxplore as jx
 from jaxplore.planning.presets.quadrotor import zone_choice
 from jaxplore.planning.presets.target_explorer import target_explorer
+from jaxplore.settings.architectures import BASELINES
 from jaxplore.settings.defaults import (
     DIFFERENCES,
     arguments,
@@ -24,7 +25,7 @@ from jaxplore.settings.node import DriveSettings
 from jaxplore.settings.sections import Section, read_settings, section_class
 from jaxplore.simulation.exploration import scenario as scenario_module
 from jaxplore.simulation.exploration.reachability import drivable_cells
-from jaxplore.tasks.exploration.settings import BASELINES, SCENARIOS, Settings, scenario_path
+from jaxplore.tasks.exploration.settings import SCENARIOS, Settings, scenario_path
 from jaxplore.tasks.path.settings import PathSettings
 from jaxplore.tasks.registry import build, make_settings
 from jaxplore.tasks.volume.settings import VolumeSettings

@@ -10,6 +10,7 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore.settings.defaults import DIFFERENCES
+from jaxplore.settings.readers import read_values
 from jaxplore.settings.sections import Section, section_class
 from jaxplore.tasks.commented_yaml import to_commented_yaml
 from jaxplore.tasks.exploration.settings import Settings
@@ -24,7 +25,7 @@ from jaxplore.tasks.reference import (
     sections,
     setting_names,
 )
-from jaxplore.tasks.registry import build, make_settings, places
+from jaxplore.tasks.registry import build, keep_read, make_settings, places
 from jaxplore.tasks.volume.settings import GENERATED, VolumeSettings
 
 
@@ -65,7 +66,7 @@ def test_a_row_says_what_is_known() -> None:
     assert row_of("robot.wheelbase", "path").notes == (note,)
     assert row_of("terrain.threshold").unit is None
     assert row_of("map").is_required
-    assert row_of("camera.num_beams").read_by == "runs with a camera (search-rescue)"
+    assert row_of("camera.num_beams").read_by == "runs with camera (search-rescue)"
     assert row_of("robot.mass", "path").read_by == "no run"
     assert row_of("informative.depleted").read_by == "sequential (not by default)"
 
@@ -203,6 +204,36 @@ def test_what_a_run_reads_is_what_the_reference_says(case: str, read: set[str]) 
     build(settings)
     found = {name for name in read if name in set(setting_names())}
     assert found - NOT_READ_BY_BUILDING == expected - NOT_READ_BY_BUILDING
+    # What is read is accepted, and what is not is refused.
+    assert make_settings({**CASES[case], **read_values(settings)}) == settings
+    values = settings.model_dump()
+    other = next(
+        name for name in (row.name for row in known)
+        if name not in expected and values.get(name.partition(".")[0]) is not None
+    )  # fmt: skip
+    section, _, last = other.partition(".")
+    before = CASES[case].get(section) or {}
+    wrong = {section: {**before, last: values[section][last]} if last else values[section]}
+    with pytest.raises(ValueError, match=rf"^setting {other} is .* does not read"):
+        make_settings({**CASES[case], **wrong})
+
+
+def test_runs_that_are_compared_accept_what_one_of_them_reads() -> None:
+    common = {"map": "office", "portfolio": {"horizon": 9}, "controller": {"horizon": 8}}
+    kept = keep_read({name: {**common, "architecture": name} for name in ("explorer", "portfolio")})
+    assert kept["explorer"] == {
+        "map": "office",
+        "architecture": "explorer",
+        "controller": {"horizon": 8},
+    }
+    assert kept["portfolio"]["portfolio"] == {"horizon": 9}
+    assert "controller" not in kept["portfolio"]
+    # What one of them has alone, it must read itself.
+    with pytest.raises(ValueError, match=r"^setting portfolio.horizon is 9, which arch"):
+        keep_read({"explorer": common, "portfolio": {"map": "office", "architecture": "portfolio"}})
+    with pytest.raises(ValueError, match=r"controller.horizon is 8, which architecture two-layer"):
+        keep_read({name: {"map": "zones", "architecture": name, "controller": {"horizon": 8}}
+                   for name in ("two-layer", "goal")})  # fmt: skip
 
 
 # Names of parameters
@@ -259,15 +290,17 @@ def test_the_yaml_with_comments_is_read_as_equal_settings(place: str) -> None:
     lines = text.splitlines()
     assert max(map(len, lines)) <= 100
     assert lines[0].startswith("# ")
-    for name in make_settings({"map": place}).model_dump():
+    for name in read_values(make_settings({"map": place})):
         where = next(i for i, line in enumerate(lines) if line.startswith(f"{name}:"))
         assert lines[where - 1].startswith("# "), name
 
 
-def test_the_yaml_says_what_a_run_does_not_read() -> None:
+def test_the_yaml_has_what_a_run_reads_and_nothing_else() -> None:
     text = to_commented_yaml(place_settings("zones"))
-    assert "MPPI of the architecture `explorer` and of the rule-based explorers. This run" in text
-    assert "Only read by: the map office, ROS maps." in text
+    given = yaml.safe_load(text)
+    assert {"controller", "portfolio", "office", "map_file", "resolution"}.isdisjoint(given)
+    assert "mass" in given["robot"]
+    assert "max_turn_rate" not in given["robot"]
     assert "# Its settings: jaxplore settings camera.\ncamera: null" in text
     informative = text[: text.index("\ninformative:")].rpartition("\n\n")[2]
     assert informative == "# settings of informative MPPI and of its baselines."

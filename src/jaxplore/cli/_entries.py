@@ -1,15 +1,21 @@
 """Conversion of options to settings entries."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from jaxplore._files import parse_yaml
 from jaxplore._text import short_repr
 from jaxplore.settings.node import part_node
+from jaxplore.settings.readers import find_readers
 from jaxplore.settings.sections import find_field, read_settings
+from jaxplore.tasks.exploration.settings import merge_entries
 from jaxplore.tasks.path.settings import PATH
 from jaxplore.tasks.registry import KINDS, at_place, find_kind
+
+SAMPLES = "controller__num_samples"
+"""Option of the number of rollouts, of every architecture."""
+_SAMPLES = "num_samples"
 
 
 def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -22,6 +28,7 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     entries, _ = part_node(file)
     entries = _with_place(entries, given.pop("map_"), given.pop("path_file", None), trust)
     kind = find_kind(entries)
+    samples = given.pop(SAMPLES, None)
     for option, value in given.items():
         if value is None:
             continue
@@ -30,12 +37,34 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
             known = [each.place for each in KINDS.values() if find_field(each.settings, name)]
             raise ValueError(f"{name} is {value} {kind.place}; accepted: {' or '.join(known)}")
         assign(entries, name, value)
-    if kind is find_kind({}) and given["controller__num_samples"] is not None:
-        # The option sets the number of rollouts of every architecture.
-        for section in ("informative", "portfolio"):
-            assign(entries, f"{section}.num_samples", given["controller__num_samples"])
-    # `--set` comes last, so that it overrides all other options.
     assign_all(entries, assignments)
+    # `--set` overrides all other options.
+    return with_samples(entries, samples)
+
+
+def with_samples(
+    entries: dict[str, Any], samples: int | None, variants: Iterable[Mapping[str, Any]] = ({},)
+) -> dict[str, Any]:
+    """Return entries with a number of rollouts, for the controllers of all variants.
+
+    The option stands for the setting of whichever section a variant reads. A setting that is there
+    is not replaced.
+    """
+    if samples is None:
+        return entries
+    sections = set[str]()
+    for own in variants:
+        run = merge_entries(entries, dict(own))
+        kind = find_kind(run)
+        settings = kind.make_settings(run)
+        sections |= {
+            section
+            for section in kind.settings.model_fields
+            if find_field(kind.settings, f"{section}.{_SAMPLES}") is not None
+            and find_readers(kind.settings, f"{section}.{_SAMPLES}").reads(settings)
+        }
+    for section in sections or {"controller"}:
+        entries = merge_entries({section: {_SAMPLES: samples}}, entries)
     return entries
 
 

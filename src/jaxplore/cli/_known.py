@@ -54,10 +54,11 @@ def from_settings() -> Known:
     """Return what the file must say, from the settings themselves."""
     from jaxplore.report.drawing.figure import FORMATS
     from jaxplore.report.drawing.film import FPS, SCALE
+    from jaxplore.settings.architectures import BASELINES
     from jaxplore.settings.fleet import FLEET
     from jaxplore.study.tuning.optimizers import NAMES
     from jaxplore.study.tuning.search import POPULATION
-    from jaxplore.tasks.exploration.settings import BASELINES, OFFICE, make_exploration_settings
+    from jaxplore.tasks.exploration.settings import OFFICE, make_exploration_settings
     from jaxplore.tasks.reference import rows, section_names, setting_names
     from jaxplore.tasks.registry import places
 

@@ -30,6 +30,7 @@ from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.readers import read_values
 from jaxplore.settings.ros_names import check_namespace
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -162,7 +163,7 @@ def _save_drive(
 ) -> None:
     """Write the run folder of a drive, with its commands, and print its metrics."""
     run = Run(recording, recording.metrics(seed=settings.seed))
-    kept = {**settings.model_dump(mode="json"), "node": node.model_dump(mode="json")}
+    kept = {**read_values(settings), "node": node.model_dump(mode="json")}
     del kept["map"]
     animation, overwrite = options["animation"], options["overwrite"]
     run.save(folder, overwrite=overwrite, animation=animation, settings=kept, progress=True)
@@ -276,7 +277,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
         folder,
         overwrite=overwrite,
         animation=animation,
-        settings=settings.model_dump(mode="json"),
+        settings=read_values(settings),
         progress=True,
     )
     print_table(run.metrics.rows(), title=str(folder), has_header=False)

@@ -10,7 +10,7 @@ from jaxplore._text import printable_path
 from jaxplore.cli._entries import option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
-from jaxplore.cli._show import free_name, reserve, save, show_goal, show_starts, show_unread
+from jaxplore.cli._show import free_name, reserve, save, show_goal, show_starts
 from jaxplore.cli._view_options import VIEW
 from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_recording
 from jaxplore.simulation.experiment import Experiment
@@ -51,7 +51,6 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     settings = make_settings(entries)
     beside = {"--record": record, "--resume": resume, "--view": has_view or None}
     workers = _workers(settings, beside)
-    show_unread(options["assignments"], [settings])
     folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
     # The folder is checked before the run, which may take minutes.
     reserve(folder, overwrite=overwrite)

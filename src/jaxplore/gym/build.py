@@ -112,7 +112,8 @@ def _check_settings(scenario: object, settings: dict[str, Any]) -> RunSettings:
         entries["map"] = os.fspath(entries["map"])
     if isinstance(entries["controller"], Mapping):
         entries["controller"] = {**DRIVE, **entries["controller"]}
-    return make_settings(entries)
+    # The controller is that of waypoints, whatever the architecture.
+    return default_kind().make_settings(entries)
 
 
 def _scenarios(settings: RunSettings, num_floors: int) -> list[Scenario]:

@@ -28,6 +28,7 @@ from jaxplore.ros.nav2_file import (
     smoother,
 )
 from jaxplore.settings.defaults import Owner, parameter_default
+from jaxplore.settings.readers import find_readers, list_unread, remove
 from jaxplore.settings.robot import RobotSettings
 from jaxplore.tasks.exploration.settings import OFFICE, make_exploration_settings
 from jaxplore.tasks.path.settings import PATH, TRACK, PathRobotSettings, make_path_settings
@@ -171,7 +172,11 @@ def read_nav2(path: Path, task: str = "exploration", controller: str | None = No
     for rest in given.list_unread() if name in mppi else ():
         given.leave(rest, reasons.of_parameter(rest))
     check = make_exploration_settings if task == "exploration" else make_path_settings
-    check(entries)
+    settings = check(entries)
+    for setting, value in list_unread(settings, entries).items():
+        readers = find_readers(type(settings), setting).text
+        given.left_out.append(LeftOut(setting, f"{value:g} by nav2, for {readers}"))
+        remove(entries, setting)
     return Nav2Settings(entries, tuple(given.left_out))
 
 

@@ -4,7 +4,7 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -48,6 +48,8 @@ from jaxplore._text import printable_path, short_repr
 from jaxplore.settings.accepted_values import describe_accepted
 from jaxplore.settings.code_names import check_trusted
 from jaxplore.settings.defaults import setting
+from jaxplore.settings.readers import EVERY, Readers
+from jaxplore.settings.readers import section_class as section_class
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.variation import Variation
 
@@ -112,6 +114,8 @@ class Section(BaseModel):
     """A section of settings. It rejects unknown names and values that are not finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    readers: ClassVar[Readers] = EVERY
+    """Runs that read the settings of the section that say nothing else."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -155,6 +159,13 @@ class VariationSettings(Section):
     heading_noise: Interval = setting(Variation, "heading_noise")
 
 
+ADAPTIVE = Readers(
+    "runs with adaptive_horizon.rule",
+    lambda settings: settings.adaptive_horizon.rule is not None,
+    "adaptive_horizon.rule",
+)
+
+
 class AdaptiveHorizonSettings(Section):
     """A horizon that each step chooses anew: see `jaxplore.control.AdaptiveHorizon`.
 
@@ -167,7 +178,9 @@ class AdaptiveHorizonSettings(Section):
         at_longest: value at which it is the longest, likewise.
     """
 
-    rule: Literal["speed", "clearance", "information"] | None = None
+    readers = ADAPTIVE
+
+    rule: Annotated[Literal["speed", "clearance", "information"] | None, EVERY] = None
     min_horizon: StepsAhead = 20
     at_shortest: Real | None = None
     at_longest: Real | None = None
@@ -331,11 +344,3 @@ def find_field(section: type[BaseModel], name: str) -> FieldInfo | None:
         return field
     inner = section_class(field.annotation)
     return None if inner is None else find_field(inner, rest)
-
-
-def section_class(annotation: Any) -> type[BaseModel] | None:
-    """Return the section class of a field, optional ones included; None for other fields."""
-    for each in (annotation, *get_args(annotation)):
-        if isinstance(each, type) and issubclass(each, BaseModel):
-            return each
-    return None

@@ -5,19 +5,19 @@ these rows.
 """
 
 import functools
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from jaxplore.settings.accepted_values import choices, describe_accepted
+from jaxplore.settings.architectures import QUADROTOR
 from jaxplore.settings.defaults import DIFFERENCES, description_in, descriptions, unit
 from jaxplore.settings.node import DriveSettings
 from jaxplore.settings.parameter_names import PER_METRE, controller_parameter
+from jaxplore.settings.readers import EVERY, NONE, Readers, find_readers
 from jaxplore.settings.sections import RunSettings, section_class
-from jaxplore.tasks.exploration.settings import QUADROTOR
-from jaxplore.tasks.readers import EVERY, NONE, Reader, reader
 from jaxplore.tasks.registry import KINDS, make_settings, places
 
 DRIVE = "drive"
@@ -64,7 +64,7 @@ class Row(NamedTuple):
     is_required: bool
     accepted: str
     choices: tuple[str, ...]
-    reader: Reader
+    reader: Readers
     scenarios: tuple[str, ...]
     owner: str | None
     notes: tuple[str, ...]
@@ -82,7 +82,7 @@ class Row(NamedTuple):
     @property
     def read_by(self) -> str:
         """Runs that read the setting, and the names of places that do unless all of them do."""
-        if self.reader in (EVERY, NONE) or self.scenarios == _places(self.task):
+        if self.reader.text in (EVERY.text, NONE.text) or self.scenarios == _places(self.task):
             return self.reader.text
         return f"{self.reader.text} ({', '.join(self.scenarios) or 'not by default'})"
 
@@ -110,20 +110,6 @@ def find_rows(name: str) -> tuple[Row, ...]:
         name: dotted name of a setting, or name of a section; an unknown name has no rows.
     """
     return tuple(row for row in rows() if name in (row.name, row.section) and name)
-
-
-def why_unread(name: str, settings: Collection[RunSettings]) -> str | None:
-    """Return which runs read a setting or a section, if none of the given ones does; else None.
-
-    Args:
-        name: dotted name of a setting, or name of a section.
-        settings: settings of the runs.
-    """
-    for each in settings:
-        found = [row for row in find_rows(name) if classes()[row.task] is type(each)]
-        if not found or any(row.reader.reads(each) for row in found):
-            return None
-    return found[0].reader.text
 
 
 def setting_names() -> tuple[str, ...]:
@@ -188,7 +174,7 @@ def _row(task: str, section: type[BaseModel], name: str, field: FieldInfo) -> Ro
     given: dict[str, Any] = source if isinstance(source, dict) else {}
     owner, meaning = given.get("owner"), setting_meaning(section, last)
     default = None if field.is_required() else field.get_default(call_default_factory=True)
-    found = reader(task, name, owner)
+    found = find_readers(classes()[task], name)
     is_in_degrees = last.endswith(_DEGREES)
     if is_in_degrees and owner is not None:
         meaning += f" In degrees; `{owner}` takes radians."

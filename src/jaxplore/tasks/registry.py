@@ -1,5 +1,6 @@
 """The registry of kinds of tasks. Nothing else lists them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ from jaxplore._files import yaml_beside
 from jaxplore._spelling import match_spelling
 from jaxplore._text import printable_path
 from jaxplore.report.recording import Recording
+from jaxplore.settings.readers import given_leaves, list_unread, refuse, remove
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.tasks.exploration.kind import EXPLORATION
@@ -52,10 +54,46 @@ def make_settings(entries: dict[str, Any]) -> RunSettings:
     the exploration of a volume, and all others that of a plane.
 
     Raises:
-        ValueError: a path or a volume beside a map, an unknown name or a value that is not
-            accepted; one line that names it.
+        ValueError: a path or a volume beside a map, an unknown name, a value that is not accepted
+            or a setting that the run does not read; one line that names it.
     """
-    return find_kind(entries).make_settings(_with_selector(entries))
+    entries = _with_selector(entries)
+    settings = find_kind(entries).make_settings(entries)
+    refuse(settings, list_unread(settings, entries))
+    return settings
+
+
+def keep_read[Name](runs: Mapping[Name, Entries]) -> dict[Name, dict[str, Any]]:
+    """Return entries of runs that are compared, each without the settings that it does not read.
+
+    Raises:
+        ValueError: a setting that none of the runs that have it reads, or what `make_settings`
+            raises.
+    """
+    given = {name: _with_selector(entries) for name, entries in runs.items()}
+    checked = {name: find_kind(each).make_settings(each) for name, each in given.items()}
+    unread = {name: list_unread(each, given[name]) for name, each in checked.items()}
+    read = {
+        key
+        for name, each in checked.items()
+        for key, _ in given_leaves(type(each), given[name])
+        if key not in unread[name]
+    }
+    for name, entries in given.items():
+        nobody = {key: value for key, value in unread[name].items() if key not in read}
+        refuse(checked[name], nobody)
+        for key in unread[name]:
+            remove(entries, key)
+    return given
+
+
+def without_unread(entries: Entries) -> dict[str, Any]:
+    """Return entries without the settings that their run does not read."""
+    kept = _with_selector(entries)
+    settings = find_kind(kept).make_settings(kept)
+    for name in list_unread(settings, kept):
+        remove(kept, name)
+    return kept
 
 
 def build(settings: RunSettings) -> Experiment:

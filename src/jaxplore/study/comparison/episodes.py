@@ -9,11 +9,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxplore._spelling import match_spelling
+from jaxplore.settings.architectures import ARCHITECTURES
 from jaxplore.settings.code_names import is_own
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.seeds import check_number_of_runs, check_number_of_seeds
 from jaxplore.tasks.exploration.settings import (
-    ARCHITECTURES,
     OFFICE,
     Settings,
     make_exploration_settings,

@@ -29,12 +29,13 @@ from jaxplore.planning.presets.target_explorer import target_explorer
 from jaxplore.planning.strategy.targets import TargetChoice
 from jaxplore.planning.strategy.uncertainty_aware import UncertaintyAware
 from jaxplore.sensing.lidar import Lidar
+from jaxplore.settings.architectures import BASELINES
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.tasks.exploration.fleet import cost_of_others, has_others
 from jaxplore.tasks.exploration.localisation import uncertain_robot
-from jaxplore.tasks.exploration.settings import BASELINES, Settings
+from jaxplore.tasks.exploration.settings import Settings
 from jaxplore.tasks.exploration.world import RunWorld, expects_people
 from jaxplore.tasks.robot import build_robot
 from jaxplore.tasks.user_code import import_controller, import_rule

@@ -10,10 +10,11 @@ from jaxplore.belief.perception_checks import safe_stride
 from jaxplore.maps.files.ros import map_size
 from jaxplore.maps.padding import choose_padded_shape
 from jaxplore.maps.world import three_zones, world_shape
+from jaxplore.settings.architectures import QUADROTOR
 from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.robot import CameraSettings, LidarSettings
 from jaxplore.simulation.chunks import MAX_FRAMES, MOST_FRAME_BYTES
-from jaxplore.tasks.exploration.settings import OFFICE, QUADROTOR, ZONES, Settings
+from jaxplore.tasks.exploration.settings import OFFICE, ZONES, Settings
 from jaxplore.tasks.exploration.world import ENOUGH, is_ros_map
 from jaxplore.tasks.memory import Part, estimate_programs, estimate_record, estimate_rollouts
 

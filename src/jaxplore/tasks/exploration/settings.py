@@ -15,11 +15,13 @@ from jaxplore.maps.generators.office import office
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
+from jaxplore.maps.world import is_world_file
 from jaxplore.parts.anomalies import AnomalyTest
 from jaxplore.parts.recognition import Recognition
 from jaxplore.parts.watch import IdlenessMap
 from jaxplore.planning.presets.flight import Flight
 from jaxplore.sensing.detector import Detector
+from jaxplore.settings.architectures import ARCHITECTURES, QUADROTOR
 from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.defaults import difference_entries, setting
@@ -28,6 +30,7 @@ from jaxplore.settings.keep_out import KeepOutSettings
 from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.people import PeopleSettings
+from jaxplore.settings.readers import Readers
 from jaxplore.settings.robot import (
     CARS,
     GROUND_ROBOTS,
@@ -62,24 +65,6 @@ from jaxplore.settings.sections import (
 from jaxplore.settings.sections import read_settings as read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
-BASELINES = (
-    "wander",
-    "random-frontier",
-    "nearest-frontier",
-    "nearest-cluster",
-    "gain-per-cost",
-    "next-best-view",
-    "discounted-information",
-    "distance-advantage",
-)
-"""Rule-based explorers, which drive from target to target: see `jaxplore.planning.TargetRule`."""
-GROUND = ("explorer", "portfolio", *BASELINES)
-"""Architectures of ground vehicles."""
-QUADROTOR = ("two-layer", "parallel", "sequential", "random-walk", "goal")
-"""Architectures whose robot is a quadrotor unless another one is named."""
-ARCHITECTURES = (*GROUND, *QUADROTOR)
-"""All architectures of the library."""
-
 OFFICE = "office"
 """Name of the generated map."""
 ZONES = "zones"
@@ -92,8 +77,35 @@ Names = Annotated[tuple[str, ...], Field(max_length=MOST_NAMES)]
 Fractions = Annotated[tuple[Fraction, ...], Field(max_length=MOST_NAMES)]
 
 
+def _is_office(settings: Any) -> bool:
+    # Beside a `world`, the map is only a name.
+    return settings.world is None and settings.map == OFFICE
+
+
+def _is_world(settings: Any) -> bool:
+    if settings.world is not None or settings.map == ZONES:
+        return True
+    return settings.map != OFFICE and is_world_file(settings.map)
+
+
+def _has_height_map(settings: Any) -> bool:
+    return settings.terrain.height_map is not None and not _is_office(settings)
+
+
+IN_OFFICE = Readers("the map office", _is_office, "map")
+ON_ROS_MAPS = Readers("ROS maps", lambda s: not _is_office(s) and not _is_world(s), "map")
+NOT_IN_WORLDS = Readers("the map office, ROS maps", lambda s: not _is_world(s), "map")
+NOT_IN_OFFICE = Readers("ROS maps, worlds", lambda s: not _is_office(s), "map")
+WITH_HEIGHTS = Readers("ROS maps with a height map", _has_height_map)
+WITH_GROUND = Readers(
+    "worlds, ROS maps with a height map", lambda s: _is_world(s) or _has_height_map(s)
+)
+
+
 class MapFileSettings(Section):
     """How the image of a ROS map is read: see `jaxplore.maps.files.ros.read_map`."""
+
+    readers = ON_ROS_MAPS
 
     rules: MapRules = setting(OccupancyGrid.from_ros, "rules")
     unknown: Annotated[int, Field(ge=0, le=255)] | None = setting(OccupancyGrid.from_ros, "unknown")
@@ -101,6 +113,8 @@ class MapFileSettings(Section):
 
 class OfficeSettings(Section):
     """The generated office: see `jaxplore.office`."""
+
+    readers = IN_OFFICE
 
     seed: Seed = setting(office, "seed")
     width: Width = setting(office, "width")
@@ -159,8 +173,12 @@ class TerrainSettings(Section):
         height_map: grey image of the size of the ROS map's; level ground when absent.
     """
 
-    height_map: str | None = None
-    elevation_scale: Positive = setting(TerrainMap.from_images, "elevation_scale")
+    readers = WITH_GROUND
+
+    height_map: Annotated[str | None, NOT_IN_OFFICE] = None
+    elevation_scale: Annotated[Positive, WITH_HEIGHTS] = setting(
+        TerrainMap.from_images, "elevation_scale"
+    )
     max_slope: Positive = setting(Ground, "max_slope")
     max_roughness: Positive | None = setting(Ground, "max_roughness")
     threshold: Fraction = setting(Ground, "threshold")
@@ -245,9 +263,9 @@ class Settings(RunSettings):
     goal_speed: Positive = setting(ExplorationScenario, "goal_speed")
     max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
     hover_time: Wait = setting(ExplorationScenario, "hover_time")
-    is_map_known: bool = False
+    is_map_known: Annotated[bool, NOT_IN_WORLDS] = False
     altitude: Real = setting(Flight, "altitude")
-    resolution: Spacing = setting(office, "resolution")
+    resolution: Annotated[Spacing, NOT_IN_WORLDS] = setting(office, "resolution")
     time_limit: Duration = 900.0
     target: Literal["coverage", "information", "walls", "never"] | None = setting(
         ExplorationScenario, "target"

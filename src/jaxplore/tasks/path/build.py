@@ -90,12 +90,12 @@ def _path(settings: PathSettings, datum: Datum) -> Path:
 
 def _traffic(settings: PathSettings, path: Path) -> Traffic | None:
     given = settings.obstacles
+    if not given.number:
+        return None
     if given.speeds[0] > given.speeds[1]:
         raise ValueError(
             f"setting obstacles.speeds is {given.speeds}; accepted: the least and the greatest"
         )
-    if not given.number:
-        return None
     return Traffic.random(
         path,
         given.number,

@@ -13,7 +13,16 @@ from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.controllers import ContouringNumbers
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.parameter_names import under_their_settings
-from jaxplore.settings.robot import GROUND_ROBOTS, RobotSettings
+from jaxplore.settings.readers import Readers
+from jaxplore.settings.robot import (
+    A_CAR,
+    ACCELERATING,
+    BRAKING,
+    DRIVING,
+    GROUND_ROBOTS,
+    SHAPED,
+    RobotSettings,
+)
 from jaxplore.settings.sections import (
     Bends,
     Body,
@@ -45,8 +54,23 @@ Point = tuple[Real, Real]
 PathRobot = Annotated[str, WordsOrOwn(GROUND_ROBOTS)]
 
 
+def _has_obstacles(settings: Any) -> bool:
+    given = settings.obstacles
+    return bool(given.number or given.discs or given.polygons)
+
+
+ON_TRACK = Readers("the path track", lambda settings: settings.path == TRACK, "path")
+FROM_FILE = Readers("paths from a file", lambda settings: settings.path != TRACK, "path")
+AMONG_OBSTACLES = Readers("runs with obstacles", _has_obstacles)
+IN_TRAFFIC = Readers(
+    "runs with moving obstacles", lambda settings: settings.obstacles.number > 0, "obstacles.number"
+)
+
+
 class TrackSettings(Section):
     """The generated track: see `jaxplore.race_track`."""
+
+    readers = ON_TRACK
 
     seed: Seed = setting(race_track, "seed")
     length: Length = setting(race_track, "length")
@@ -66,16 +90,20 @@ class PathRobotSettings(RobotSettings):
     """
 
     model: PathRobot = "ackermann"
-    max_speed: Positive = setting(Ackermann, "max_speed")
-    max_acceleration: Positive = setting(
+    max_speed: Annotated[Positive, DRIVING] = setting(Ackermann, "max_speed")
+    max_acceleration: Annotated[Positive, ACCELERATING] = setting(
         Ackermann, "max_acceleration", differs="path.robot.max_acceleration"
     )
-    drag: NonNegative = setting(Ackermann, "drag")
-    wheelbase: Body = setting(Ackermann, "wheelbase", differs="path.robot.wheelbase")
-    length: Body = 0.58
-    width: Body = 0.31
-    max_steering: Steering = setting(Ackermann, "max_steering", differs="path.robot.max_steering")
-    max_steering_rate: Positive = setting(
+    drag: Annotated[NonNegative, BRAKING] = setting(Ackermann, "drag")
+    wheelbase: Annotated[Body, A_CAR] = setting(
+        Ackermann, "wheelbase", differs="path.robot.wheelbase"
+    )
+    length: Annotated[Body, SHAPED] = 0.58
+    width: Annotated[Body, SHAPED] = 0.31
+    max_steering: Annotated[Steering, A_CAR] = setting(
+        Ackermann, "max_steering", differs="path.robot.max_steering"
+    )
+    max_steering_rate: Annotated[Positive, SHAPED] = setting(
         Ackermann, "max_steering_rate", differs="path.robot.max_steering_rate"
     )
 
@@ -92,18 +120,18 @@ class PathObstacleSettings(Section):
     """
 
     number: Obstacles = 0
-    radius: Length = setting(Traffic.random, "radius")
-    speeds: tuple[Real, Real] = setting(Traffic.random, "rates")
-    seed: Seed | None = None
+    radius: Annotated[Length, IN_TRAFFIC] = setting(Traffic.random, "radius")
+    speeds: Annotated[tuple[Real, Real], IN_TRAFFIC] = setting(Traffic.random, "rates")
+    seed: Annotated[Seed | None, IN_TRAFFIC] = None
     discs: Annotated[tuple[tuple[Real, Real, Positive], ...], Field(max_length=MOST_OBSTACLES)] = ()
     polygons: Annotated[
         tuple[Annotated[tuple[Point, ...], Field(max_length=MOST_OBSTACLES)], ...],
         Field(max_length=MOST_OBSTACLES),
     ] = ()
-    clearance: Body = setting(avoidance_cost, "clearance")
-    margin: Margin = setting(avoidance_cost, "margin")
-    caution: NonNegative = setting(avoidance_cost, "caution")
-    weight: NonNegative = setting(avoidance_cost, "weight")
+    clearance: Annotated[Body, AMONG_OBSTACLES] = setting(avoidance_cost, "clearance")
+    margin: Annotated[Margin, AMONG_OBSTACLES] = setting(avoidance_cost, "margin")
+    caution: Annotated[NonNegative, AMONG_OBSTACLES] = setting(avoidance_cost, "caution")
+    weight: Annotated[NonNegative, AMONG_OBSTACLES] = setting(avoidance_cost, "weight")
     prediction: Literal["constant-turn", "constant-velocity"] = setting(PathScenario, "prediction")
     growth: NonNegative = setting(PathScenario, "growth")
     turn_growth: NonNegative = setting(PathScenario, "turn_growth")
@@ -119,7 +147,7 @@ class ContouringSettings(ContouringNumbers):
     """
 
     corridor_margin: Margin = setting(mpcc, "corridor_margin")
-    risk_level: Annotated[float, Field(ge=0, lt=1)] | None = None
+    risk_level: Annotated[Annotated[float, Field(ge=0, lt=1)] | None, AMONG_OBSTACLES] = None
     num_outcomes: Outcomes = setting(mpcc, "num_outcomes")
 
 
@@ -137,9 +165,11 @@ class PathSettings(RunSettings):
     """
 
     path: str = TRACK
-    method: Literal["cubic", "monotone", "akima"] = setting(read_path, "method")
-    is_closed: bool | None = setting(read_path, "is_closed")
-    half_width: Length | None = None
+    method: Annotated[Literal["cubic", "monotone", "akima"], FROM_FILE] = setting(
+        read_path, "method"
+    )
+    is_closed: Annotated[bool | None, FROM_FILE] = setting(read_path, "is_closed")
+    half_width: Annotated[Length | None, FROM_FILE] = None
     laps: Laps = setting(PathScenario, "laps")
     goal_radius: Length = setting(PathScenario, "goal_radius")
     goal_speed: Positive = setting(PathScenario, "goal_speed")

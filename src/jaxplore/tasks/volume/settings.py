@@ -17,8 +17,10 @@ from jaxplore.planning.presets.volume import (
     volume_target_explorer,
 )
 from jaxplore.sensing.volume import DepthCamera, RingLidar
+from jaxplore.settings.architectures import BASELINES, BY_RULE
 from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.defaults import in_degrees, setting
+from jaxplore.settings.readers import Readers, architectures
 from jaxplore.settings.robot import SensorModelSettings, ViewDegrees
 from jaxplore.settings.sections import (
     Body,
@@ -43,7 +45,6 @@ from jaxplore.settings.sections import (
     check_section,
 )
 from jaxplore.simulation.volume.scenario import VolumeScenario
-from jaxplore.tasks.exploration.settings import BASELINES
 
 VOLUME = "volume"
 """Name that selects the exploration of a volume in place of a map."""
@@ -69,6 +70,15 @@ def names_volume(name: object) -> bool:
     return name in (VOLUME, *GENERATED) or Path(name).suffix.lower() in SUFFIXES
 
 
+GENERATED_ONLY = Readers(
+    "generated volumes", lambda settings: settings.volume in GENERATED, "volume"
+)
+FROM_FILE = Readers(
+    "volumes from a file", lambda settings: settings.volume not in GENERATED, "volume"
+)
+INFORMED = architectures(*INFORMATIVE)
+
+
 class GeneratedSettings(Section):
     """The generated volume: see `jaxplore.generate_volume`.
 
@@ -77,12 +87,16 @@ class GeneratedSettings(Section):
             which has then two storeys.
     """
 
+    readers = GENERATED_ONLY
+
     seed: Seed = setting(generate_volume, "seed")
     size: tuple[Extent, Extent, Extent] | None = None
 
 
 class VolumeFileSettings(Section):
     """The file of a volume: see `jaxplore.maps.read_volume`."""
+
+    readers = FROM_FILE
 
     scale: Positive | None = setting(read_volume, "scale")
     up: Literal["x", "y", "z"] | None = setting(read_volume, "up")
@@ -168,16 +182,28 @@ class VolumeControllerSettings(Section):
     attitude_weight: NonNegative = setting(volume_explorer, "attitude_weight")
     speed_weight: NonNegative = setting(volume_explorer, "speed_weight")
     control_weight: NonNegative = setting(volume_explorer, "control_weight")
-    bias_fraction: Share = setting(volume_informative_mppi, "bias_fraction")
-    likelihood_ratio: bool = setting(volume_informative_mppi, "likelihood_ratio")
-    reference_speed: Positive = setting(volume_informative_mppi, "reference_speed")
-    reference_steps: StepsAhead = setting(volume_informative_mppi, "reference_steps")
-    reference_weight: NonNegative = setting(volume_informative_mppi, "reference_weight")
-    field_weight: NonNegative = setting(volume_informative_mppi, "field_weight")
+    bias_fraction: Annotated[Share, INFORMED] = setting(volume_informative_mppi, "bias_fraction")
+    likelihood_ratio: Annotated[bool, INFORMED] = setting(
+        volume_informative_mppi, "likelihood_ratio"
+    )
+    reference_speed: Annotated[Positive, INFORMED] = setting(
+        volume_informative_mppi, "reference_speed"
+    )
+    reference_steps: Annotated[StepsAhead, INFORMED] = setting(
+        volume_informative_mppi, "reference_steps"
+    )
+    reference_weight: Annotated[NonNegative, INFORMED] = setting(
+        volume_informative_mppi, "reference_weight"
+    )
+    field_weight: Annotated[NonNegative, INFORMED] = setting(
+        volume_informative_mppi, "field_weight"
+    )
 
 
 class VolumeTargetSettings(Section):
     """Targets of rule-based explorers: see `jaxplore.planning.VolumeTargetExplorer`."""
+
+    readers = BY_RULE
 
     min_information: Positive = setting(volume_target_explorer, "min_information")
     min_frontier: NonNegative = setting(volume_target_explorer, "min_frontier")
