@@ -159,7 +159,10 @@ def test_settings_become_what_they_say(file: Path) -> None:
         (["run", "path", "--obstacles", "-1"], "setting obstacles.number is -1"),
         (["run", "path", "--set", "track.half_width=0.1", "--set", "track.min_radius=1"], "wide"),
         (["run", "path", "--set", "obstacles.polygons=[[[0, 0], [1, 1]]]"], "polygons[0]"),
-        (["run", "path", "--set", "obstacles.speeds=[2, 1]"], "obstacles.speeds is (2.0, 1.0)"),
+        (
+            ["run", "path", "--obstacles", "1", "--set", "obstacles.speeds=[2, 1]"],
+            "obstacles.speeds is (2.0, 1.0)",
+        ),
     ],
 )
 def test_bad_input_is_one_line(file: Path, fails, arguments: list[str], reason: str) -> None:

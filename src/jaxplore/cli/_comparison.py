@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,7 @@ def _in_one_place(
         raise ValueError(
             "--vary is missing; accepted here: --vary NAME=A,B or --variants FILE,FILE"
         )
-    entries = with_samples(entries, samples, variants.values())
+    entries = with_samples(entries, samples, options["assignments"], variants.values())
     given = keep_read({name: merge_entries(entries, own) for name, own in variants.items()})
     check_memory(map(make_settings, given.values()), limit, num_runs=runner.num_processes)
     started = {name: find_kind(each).with_start(each) for name, each in given.items()}
@@ -114,10 +114,7 @@ def _in_one_place(
     first = common.seed
     check_number_of_seeds("--seeds", range(first, first + seeds))
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
-    # Defaults depend on the architecture; settings.yaml stores those of the first one.
-    architecture = getattr(common, "architecture", None)
-    kind = {} if architecture is None else {"architecture": architecture}
-    kept = _first_settings({**entries, **kind})
+    kept = _shared_settings(entries, settings.values())
     own = {
         name: read_values(settings[name])
         for name, each in variants.items()
@@ -137,10 +134,19 @@ def _in_one_place(
     show_comparison(result, folder)
 
 
-def _first_settings(entries: dict[str, Any]) -> dict[str, Any]:
-    """Return all that the first of several runs reads, of entries that some of them read."""
+def _shared_settings(entries: dict[str, Any], runs: Iterable[RunSettings]) -> dict[str, Any]:
+    """Return what the runs read of the entries that they share, with defaults.
+
+    Defaults depend on the architecture: where two runs have others, those of the first are kept.
+    """
     kind = find_kind(entries)
-    return read_values(kind.make_settings(kind.with_start(entries)))
+    found: dict[str, Any] = {}
+    for run in runs:
+        architecture = getattr(run, "architecture", None)
+        own = {} if architecture is None else {"architecture": architecture}
+        settings = kind.make_settings(kind.with_start({**entries, **own}))
+        found = merge_entries(read_values(settings), found)
+    return found
 
 
 def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:
@@ -190,7 +196,7 @@ def _on_maps(
         for name, own in variant_entries(variants or GROUND).items()
     }
     on_first = [{**own, "map": maps[0].path} for own in own_entries.values()]
-    entries = with_samples(entries, samples, on_first)
+    entries = with_samples(entries, samples, options["assignments"], on_first)
     runs = {
         (name, each.path): {**merge_entries(entries, own), "map": each.path}
         for name, own in own_entries.items()

@@ -38,17 +38,19 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
             raise ValueError(f"{name} is {value} {kind.place}; accepted: {' or '.join(known)}")
         assign(entries, name, value)
     assign_all(entries, assignments)
-    # `--set` overrides all other options.
-    return with_samples(entries, samples)
+    return with_samples(entries, samples, assignments)
 
 
 def with_samples(
-    entries: dict[str, Any], samples: int | None, variants: Iterable[Mapping[str, Any]] = ({},)
+    entries: dict[str, Any],
+    samples: int | None,
+    assignments: Sequence[str],
+    variants: Iterable[Mapping[str, Any]] = ({},),
 ) -> dict[str, Any]:
     """Return entries with a number of rollouts, for the controllers of all variants.
 
-    The option stands for the setting of whichever section a variant reads. A setting that is there
-    is not replaced.
+    The option stands for the setting of whichever section a variant reads, unless the assignments
+    of `--set` give it.
     """
     if samples is None:
         return entries
@@ -63,8 +65,10 @@ def with_samples(
             if find_field(kind.settings, f"{section}.{_SAMPLES}") is not None
             and find_readers(kind.settings, f"{section}.{_SAMPLES}").reads(settings)
         }
-    for section in sections or {"controller"}:
-        entries = merge_entries({section: {_SAMPLES: samples}}, entries)
+    for section in sorted(sections):
+        assign(entries, f"{section}.{_SAMPLES}", samples)
+    # `--set` comes last, so that it overrides all other options.
+    assign_all(entries, assignments)
     return entries
 
 

@@ -140,11 +140,14 @@ def given_leaves(
 
 
 def list_unread(settings: BaseModel, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that entries give and their run does not read, by dotted name."""
+    """Return the settings that entries give and their run does not read, by dotted name.
+
+    None, which stands for none, is no value.
+    """
     return {
         name: value
         for name, value in given_leaves(type(settings), entries)
-        if not find_readers(type(settings), name).reads(settings)
+        if value is not None and not find_readers(type(settings), name).reads(settings)
     }
 
 
