@@ -319,7 +319,7 @@ def test_the_settings_of_the_folder_repeat_its_runs(
     monkeypatch.setattr(building, "informative_mppi", pushed)
     used, report = written.settings, written.report
     assert "architecture" not in used
-    assert used["controller"]["num_samples"] == used["informative"]["num_samples"] == 8
+    assert used["informative"]["num_samples"] == 8
     assert not report["is_interrupted"]
     assert list(report["runs"]) == ["two-layer", "parallel"]
     for name, runs in report["runs"].items():

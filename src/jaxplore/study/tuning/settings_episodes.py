@@ -314,7 +314,7 @@ def _searchable_settings(settings: RunSettings) -> dict[str, Value]:
     """Return the settings that may be searched, by dotted name: those that affect the run."""
     entries = read_values(settings, "python")
     fixed = {*_FIXED, find_kind({}).selector, kind_of(settings).selector}
-    architecture = getattr(settings, "architecture", None)
+    architecture: Any = getattr(settings, "architecture", None)
     if is_own(architecture) and import_rule(architecture) is None:
         # A function makes its controller without them.
         fixed.add("controller")
