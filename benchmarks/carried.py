@@ -13,9 +13,9 @@ from typing import Any
 
 import jax
 
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.study.experiments import record_alone
+from jaxplore.tasks.registry import build, make_settings
 
 NUMBERS = (500, 2000, 5000)
 CARRIED_AT, AFTERWARDS = 5.0, 30.0

@@ -15,13 +15,13 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.guard import MotionGuard
 from jaxplore.report.motion import episodes
 from jaxplore.report.statistics import paired_difference
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.faults import Faults
 from jaxplore.study.experiments import record_alone
+from jaxplore.tasks.registry import build, make_settings
 
 TASKS: dict[str, dict[str, Any]] = {
     "zones": {"map": "zones"},

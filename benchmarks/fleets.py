@@ -15,9 +15,9 @@ from benchmarks.history import results_file
 from benchmarks.setting import available_maps
 from benchmarks.tables import table
 from benchmarks.timing import TimedLoop
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.run import simulate
+from jaxplore.tasks.registry import build, make_settings
 
 SITES = {
     "nav2_warehouse": "nav2_warehouse/warehouse.yaml",

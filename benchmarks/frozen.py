@@ -14,9 +14,9 @@ import numpy as np
 import yaml
 
 from benchmarks.setting import available_maps
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.exploration import scenario_path
 from jaxplore.simulation.run import record_run
+from jaxplore.tasks.exploration.settings import scenario_path
+from jaxplore.tasks.registry import build, make_settings
 
 SECONDS = 15.0
 """Simulated time of a run [s]."""

@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 
-from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.control.adaptive_horizon import (
     AdaptiveHorizon,
     HorizonByClearance,
@@ -17,6 +16,7 @@ from jaxplore.control.adaptive_horizon import (
 from jaxplore.control.mppi import MPPI
 from jaxplore.report.statistics import paired_difference
 from jaxplore.study.experiments import record_alone
+from jaxplore.tasks.registry import build, find_kind, make_settings
 
 SHORT, USUAL, LONG = 20, 40, 60
 RULES: dict[str, HorizonRule] = {
@@ -49,7 +49,7 @@ def measure(maps: dict[str, dict[str, Any]], seeds: int = 5) -> list[dict[str, A
 def _runs(entries: dict[str, Any], title: str, seeds: int) -> dict[str, Any]:
     horizon = int(title) if title.isdigit() else LONG
     given = {**entries, "controller": {**entries.get("controller", {}), "horizon": horizon}}
-    experiment = build(make_settings(find_task(given).with_start(given)))
+    experiment = build(make_settings(find_kind(given).with_start(given)))
     if title in RULES:
         assert isinstance(experiment.controller, MPPI)
         adaptive = AdaptiveHorizon(experiment.controller, RULES[title], SHORT)

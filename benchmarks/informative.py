@@ -44,11 +44,11 @@ import numpy as np
 from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.tables import Rows
 from benchmarks.timing import measure_cases, percentiles, timed
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.maps.world import three_zones
 from jaxplore.planning import InformativeMPPI, ReferenceStart
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 from jaxplore.simulation.state import LoopState
+from jaxplore.tasks.registry import build, make_settings
 
 ARCHITECTURES = ("two-layer", "parallel")
 CHUNK = 25

@@ -12,13 +12,13 @@ from benchmarks.history import results_file
 from benchmarks.setting import available_maps
 from benchmarks.tables import Rows, table
 from benchmarks.timing import TimedLoop, timed
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.localisation.localiser import Localiser
 from jaxplore.localisation.particles import ParticleFilter
 from jaxplore.localisation.surface import EndPoints
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import simulate
+from jaxplore.tasks.registry import build, make_settings
 
 SITES = {
     "nav2_depot": "nav2_depot/depot.yaml",

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.setting import available_maps
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.exploration import ARCHITECTURES
+from jaxplore.settings.architectures import ARCHITECTURES
 from jaxplore.simulation.loop import run_chunk
 from jaxplore.simulation.run import record_run
+from jaxplore.tasks.registry import build, make_settings
 
 SITES = {
     "office": "office",

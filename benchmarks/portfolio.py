@@ -24,11 +24,11 @@ from rich.console import Console
 from benchmarks.history import results_file
 from benchmarks.setting import MAPS
 from benchmarks.tables import table
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.exploration import read_settings, scenario_path
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import record_run
+from jaxplore.tasks.exploration.settings import read_settings, scenario_path
+from jaxplore.tasks.registry import build, make_settings
 
 ROLES = ("explorer", "balanced", "exploiter", "cautious")
 FUSIONS = ("weighted-vote", "best-only", "average", "median", "trust-weighted", "contextual")

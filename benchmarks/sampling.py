@@ -14,9 +14,9 @@ from typing import Any
 import jax
 
 from benchmarks.setting import MAPS
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.statistics import paired_difference
 from jaxplore.study.experiments import record_alone
+from jaxplore.tasks.registry import build, make_settings
 
 FORMER: dict[str, Any] = {"parameterisation": "direct", "weighting": "softmax"}
 """The default explorer until 2026-11-24: independent controls, and a fixed temperature."""

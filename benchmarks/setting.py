@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.simulation.experiment import Experiment
+from jaxplore.tasks.registry import build, make_settings
 
 MAPS = Path(
     os.environ.get("JAXPLORE_MAPS", Path(__file__).resolve().parents[2] / "shared" / "maps")

@@ -26,8 +26,6 @@ import jaxplore as jx
 from benchmarks import sensitivity
 from benchmarks.tables import Rows
 from jaxplore._types import Key
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.path import make_path_settings
 from jaxplore.study.tuning import (
     ControllerEpisodes,
     Episode,
@@ -40,6 +38,8 @@ from jaxplore.study.tuning import (
     VectorEpisodes,
     open_study,
 )
+from jaxplore.tasks.path.settings import make_path_settings
+from jaxplore.tasks.registry import build, make_settings
 
 
 @dataclasses.dataclass(frozen=True)

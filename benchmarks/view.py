@@ -13,10 +13,10 @@ import numpy as np
 from benchmarks.setting import SMALL, SMALL_OFFICE, Site, available_sites, experiment
 from benchmarks.tables import Rows
 from benchmarks.timing import percentiles
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.monitor import Monitor, Update
 from jaxplore.simulation.run import simulate
+from jaxplore.tasks.registry import build, make_settings
 from jaxplore.view import LiveView
 
 TRACK: dict[str, Any] = {"path": "track", "laps": 5, "obstacles": {"number": 5}}

@@ -578,7 +578,7 @@ def architecture() -> Figure:
     axes.text(3.0, 46.3, "simulation: one closed loop for every task", color=GREY, fontsize=9.5)
     rooms = {
         "maps, geometry": (3.0, 52.0, 21.0, GREY, "true map, ROS files, paths", ""),
-        "settings, build": (32.0, 52.0, 20.0, GREY, "YAML to Experiment", ""),
+        "settings, tasks": (32.0, 52.0, 20.0, GREY, "YAML to Experiment", "kind"),
         "planning": (61.0, 52.0, 21.0, ORANGE, "presets, strategy, portfolio", "explorer"),
         "information": (3.0, 36.0, 20.0, BLUE, "expected gain of a scan", ""),
         "belief": (32.0, 36.0, 20.0, BLUE, "map, fields, obstacles", ""),

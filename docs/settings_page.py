@@ -4,16 +4,10 @@
 from pathlib import Path
 
 import jaxplore
-from jaxplore.settings.reference import KINDS, Row, plain, rows, sections
+from jaxplore.tasks.reference import Row, plain, rows, sections, titles
 
 PAGE = Path(__file__).parent / "settings.md"
 KNOWN = Path(jaxplore.__file__).parent / "cli" / "known.json"
-TITLES = {
-    "exploration": "Exploration",
-    "path": "Path following",
-    "volume": "Volumes",
-    "drive": "The node",
-}
 BEGINNING = """\
 <!-- Written from the settings and their owners. To renew it: python docs/settings_page.py -->
 
@@ -36,15 +30,15 @@ what must be above 0 is at least 1e-12; see [Limits](limits.md).
 def page() -> str:
     """Return the page."""
     parts = [BEGINNING]
-    for task in KINDS:
-        parts.append(f"## {TITLES[task]}\n")
+    for task, title in titles().items():
+        parts.append(f"## {title}\n")
         of_task = [row for row in rows() if row.task == task]
         if any(not row.section for row in of_task):
             parts.append(_table([row for row in of_task if not row.section]))
         for name in dict.fromkeys(row.section for row in of_task if row.section):
             meaning = sections()[task, name]
             sentence = _ended(meaning[0].upper() + meaning[1:])
-            parts.append(f"### {name} ({TITLES[task].lower()})\n\n{_escaped(sentence)}\n")
+            parts.append(f"### {name} ({title.lower()})\n\n{_escaped(sentence)}\n")
             parts.append(_table([row for row in of_task if row.section == name]))
     return "\n".join(parts)
 

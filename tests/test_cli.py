@@ -15,11 +15,11 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore._locks import reserve_hidden_folder
-from jaxplore.build.exploration import choose_architectures
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import _show, _streams, main
 from jaxplore.cli._entries import option_entries
 from jaxplore.report.folder import is_reserved
+from jaxplore.tasks.exploration.build import choose_architectures
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 
@@ -76,22 +76,26 @@ def test_a_start_far_from_the_origin_is_shown_in_full(capsys: pytest.CaptureFixt
     assert capsys.readouterr().err.startswith("Start: 499999.45 4649774.25 0, ")
 
 
-def test_a_setting_without_effect_is_said(
-    ros_map: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_setting_that_the_run_does_not_read_is_refused(
+    ros_map: Path, monkeypatch: pytest.MonkeyPatch, fails
 ) -> None:
-    monkeypatch.setattr("jaxplore.cli._run.simulate", lambda *_, **__: None)
+    ran: list[Any] = []
+    monkeypatch.setattr("jaxplore.cli._run.simulate", lambda *given, **_: ran.append(given))
     monkeypatch.setattr("jaxplore.cli._run.save", lambda *_, **__: None)
     given = ["run", str(ros_map), "--start", "1.5", "2", "0"]
-    main([*given, "--set", "adaptive_horizon.min_horizon=9", "--set", "portfolio={horizon: 20}"])
-    assert capsys.readouterr().err == (
-        "--set adaptive_horizon.min_horizon has no effect here; it is read by: runs with "
-        "adaptive_horizon.rule\n"
-        "--set portfolio has no effect here; it is read by: portfolio\n"
+    assert fails(*given, "--set", "adaptive_horizon.min_horizon=9") == (
+        "jaxplore: setting adaptive_horizon.min_horizon is 9, which adaptive_horizon.rule None "
+        "does not read; accepted: for runs with adaptive_horizon.rule\n"
     )
+    assert fails(*given, "--set", "portfolio={horizon: 20, dt: 0.1}") == (
+        "jaxplore: setting portfolio.horizon is 20, which architecture explorer does not read, "
+        "like 1 others; accepted: for portfolio\n"
+    )
+    assert not ran
     main(
         [*given, "--set", "adaptive_horizon.min_horizon=9", "--set", "adaptive_horizon.rule=speed"]
     )
-    assert capsys.readouterr().err == ""
+    assert len(ran) == 1
 
 
 def test_a_map_without_a_start_gets_one_that_is_shown_and_kept(
@@ -479,7 +483,9 @@ def test_samples_reach_every_controller_of_a_comparison(room: Path, asked: list[
     for controller, *_ in experiments.values():
         assert (controller.mppi.num_samples, controller.mppi.horizon) == (8, 4)
     used = yaml.safe_load(Path("it/settings.yaml").read_text())
-    assert used["controller"]["num_samples"] == used["informative"]["num_samples"] == 8
+    # None of them reads the section of the explorer.
+    assert used["informative"]["num_samples"] == 8
+    assert "controller" not in used
 
 
 @pytest.mark.parametrize(
@@ -559,7 +565,7 @@ def test_all_that_is_compared_differs_in_the_architecture_only(
     ],
 )
 def test_zones_are_picked_by_the_rule_that_is_set(given: dict, rule: type, weight: float) -> None:
-    entries = {"map": "zones", "architecture": "sequential", "resolution": 0.2}
+    entries = {"map": "zones", "architecture": "sequential"}
     controller: Any = build(make_settings({**entries, "informative": given})).controller
     choice = controller.reference.choice
     assert type(choice) is rule
@@ -571,7 +577,7 @@ def test_zones_are_picked_by_the_rule_that_is_set(given: dict, rule: type, weigh
 
 def test_a_map_that_is_no_file_is_answered_with_what_there_is(fails, tmp_path: Path) -> None:
     assert "zone is not there; accepted: the YAML file of a ROS map" in fails("run", "zone")
-    names = "perimeter, fleet, path, forest, office3d, maze3d, cave3d, warehouse3d or volume"
+    names = "perimeter, path, forest, office3d, maze3d, cave3d, warehouse3d, fleet, volume"
     assert names in fails("run", "zone")
     (tmp_path / "maps").mkdir()
     assert "is a folder; accepted: a file" in fails("run", "maps")

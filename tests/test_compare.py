@@ -19,8 +19,6 @@ import yaml
 
 import jaxplore as jx
 from jaxplore import Metrics, compare
-from jaxplore.build import controllers as building
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
@@ -29,6 +27,8 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import _initial_memory, _initial_task, frame_arrays, run_chunk
 from jaxplore.study import Comparison
 from jaxplore.study import experiments as running
+from jaxplore.tasks.exploration import controllers as building
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 
@@ -319,7 +319,7 @@ def test_the_settings_of_the_folder_repeat_its_runs(
     monkeypatch.setattr(building, "informative_mppi", pushed)
     used, report = written.settings, written.report
     assert "architecture" not in used
-    assert used["controller"]["num_samples"] == used["informative"]["num_samples"] == 8
+    assert used["informative"]["num_samples"] == 8
     assert not report["is_interrupted"]
     assert list(report["runs"]) == ["two-layer", "parallel"]
     for name, runs in report["runs"].items():

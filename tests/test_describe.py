@@ -8,7 +8,7 @@ from tests.kinds import OFFICE
 
 import jaxplore as jx
 from jaxplore._describe import describe
-from jaxplore.build.tasks import build, make_settings
+from jaxplore.tasks.registry import build, make_settings
 
 WORLD = jx.OccupancyGrid(np.pad(np.zeros((58, 78)), 1, constant_values=1.0), 0.1)
 ROBOT = jx.DifferentialDrive(max_speed=1.5, radius=0.25)

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from jaxplore import DifferentialDrive, Omnidirectional
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
-from jaxplore.settings.nav2 import read_nav2
+from jaxplore.ros.nav2 import read_nav2
+from jaxplore.tasks.registry import build, make_settings
 
 PLUGIN = "nav2_mppi_controller::MPPIController"
 FOLLOW = {
@@ -155,7 +155,9 @@ def test_a_car_along_a_path(read) -> None:
     assert math.tan(robot["max_steering"]) == pytest.approx(robot["wheelbase"] / 0.8, rel=1e-5)
     assert found.entries["controller"]["contouring_weight"] == 20.0
     assert "progress_weight" not in found.entries["controller"]
-    assert found.entries["obstacles"] == {"weight": 200.0}
+    # A path without obstacles has no weight for them.
+    assert "obstacles" not in found.entries
+    assert ("obstacles.weight", "200 by nav2, for runs with obstacles") in found.left_out
     assert found.entries["control_rate"] == 30.0
     names = {each.name.rpartition(".")[2] for each in found.left_out}
     assert {"wz_max", "temperature", "PathFollowCritic", "PreferForwardCritic"} <= names

@@ -9,7 +9,7 @@ import scipy.ndimage
 from tests import kinds
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
+from jaxplore.tasks.registry import build, make_settings
 
 KEY = jax.random.key(0)
 

@@ -15,19 +15,20 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.build.user_code import hash_user_code
 from jaxplore.cli import main
+from jaxplore.settings.readers import read_values
 from jaxplore.settings.sections import read_settings
 from jaxplore.study.comparison.episodes import make_episodes
 from jaxplore.study.comparison.maps import maps_in
 from jaxplore.study.comparison.row_task import RowTask
 from jaxplore.study.runner import Runner
+from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.user_code import hash_user_code
 
 MINE = """
     import jax.numpy as jnp
     import jaxplore as jx
-    from jaxplore.build.tasks import build, make_settings
+    from jaxplore.tasks.registry import build, make_settings
 
 
     class Near(jx.planning.TargetRule):
@@ -207,7 +208,7 @@ def test_the_settings_of_a_run_repeat_it(mine, monkeypatch: pytest.MonkeyPatch) 
         "jaxplore.cli._run.save", lambda _, __, settings, *___, **____: kept.append(settings)
     )
     main(["run", "office", "--architecture", mine("Near"), "--robot", mine("Cart"), *ROOM])
-    Path("settings.yaml").write_text(yaml.safe_dump(kept[0].model_dump(mode="json")))
+    Path("settings.yaml").write_text(yaml.safe_dump(read_values(kept[0])))
     main(["run", "--settings", "settings.yaml", "--trust"])
     assert kept[0] == kept[1]
     assert (kept[0].architecture, kept[0].robot.model) == (mine("Near"), mine("Cart"))

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.path import make_path_settings
+from jaxplore.tasks.path.settings import make_path_settings
+from jaxplore.tasks.registry import build, make_settings
 
 
 def cost() -> jx.WaypointCost:

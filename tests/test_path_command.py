@@ -9,9 +9,9 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.tasks import build
 from jaxplore.cli import main
-from jaxplore.settings.path import make_path_settings
+from jaxplore.tasks.path.settings import make_path_settings
+from jaxplore.tasks.registry import build
 
 pytestmark = pytest.mark.long
 
@@ -135,7 +135,7 @@ def test_settings_become_what_they_say(file: Path) -> None:
     [
         (["run", "path", "--path", "no.csv"], "no.csv"),
         (["run", "office", "--path", "half.csv"], "--path is 'half.csv' beside the map 'office'"),
-        (["run", "office", "--laps", "2"], "--laps is 2; accepted: along a path"),
+        (["run", "office", "--laps", "2"], "laps is 2 on a map; accepted: along a path"),
         (["run", "path", "--laps", "0"], "setting laps is 0"),
         (["run", "path", "--fps", "0"], "fps is 0.0; accepted"),
         (["run", "path", "--fps", "60"], "fps of a GIF is 60.0; accepted"),
@@ -146,14 +146,23 @@ def test_settings_become_what_they_say(file: Path) -> None:
         (["run", "path", "--figures", "jpg"], "figures is 'jpg'; accepted"),
         (["compare", "path", "--film-scale", "0"], "scale is 0.0; accepted"),
         (["tune", "path", "--figures", "jpg"], "figures is 'jpg'; accepted"),
-        (["run", "path", "--beams", "20"], "lidar.num_beams is 20 beside a path"),
-        (["run", "path", "--goal", "1", "2"], "goal is (1.0, 2.0) beside a path"),
+        (
+            ["run", "path", "--beams", "20"],
+            "lidar.num_beams is 20 along a path; accepted: on a map",
+        ),
+        (
+            ["run", "path", "--goal", "1", "2"],
+            "goal is (1.0, 2.0) along a path; accepted: on a map",
+        ),
         (["run", "path", "--robot", "quadrotor"], "setting robot.model is 'quadrotor'"),
         (["run", "path", "--set", "controller.speed=1"], "unknown setting controller.speed"),
         (["run", "path", "--obstacles", "-1"], "setting obstacles.number is -1"),
         (["run", "path", "--set", "track.half_width=0.1", "--set", "track.min_radius=1"], "wide"),
         (["run", "path", "--set", "obstacles.polygons=[[[0, 0], [1, 1]]]"], "polygons[0]"),
-        (["run", "path", "--set", "obstacles.speeds=[2, 1]"], "obstacles.speeds is (2.0, 1.0)"),
+        (
+            ["run", "path", "--obstacles", "1", "--set", "obstacles.speeds=[2, 1]"],
+            "obstacles.speeds is (2.0, 1.0)",
+        ),
     ],
 )
 def test_bad_input_is_one_line(file: Path, fails, arguments: list[str], reason: str) -> None:

@@ -15,13 +15,13 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.parts import AnomalyTest, IdlenessMap
-from jaxplore.settings.exploration import SCENARIOS, is_scenario_file, read_settings
-from jaxplore.settings.exploration import scenario_path as path_of
 from jaxplore.simulation.loop import initial_loop_state, moment_at
 from jaxplore.simulation.state import LoopState
+from jaxplore.tasks.exploration.settings import SCENARIOS, is_scenario_file, read_settings
+from jaxplore.tasks.exploration.settings import scenario_path as path_of
+from jaxplore.tasks.registry import build, make_settings, without_unread
 
 pytestmark = pytest.mark.long
 
@@ -223,7 +223,7 @@ def test_a_scenario_runs_by_its_name(capsys, monkeypatch: pytest.MonkeyPatch) ->
         return Path("yard.yaml")
 
     write("yard.yaml")
-    monkeypatch.setattr("jaxplore.settings.exploration.scenario_path", found)
+    monkeypatch.setattr("jaxplore.tasks.exploration.settings.scenario_path", found)
     arguments = ["--time-limit", "0.2", "--samples", "8", "--no-animation"]
     main(["run", "warehouse", *arguments, "--out", "it"])
     assert set(asked) == {"warehouse"}
@@ -338,9 +338,20 @@ def test_decompositions_by_name(decomposition: str, names: tuple[str, ...]) -> N
         ),
         ({"portfolio": {"members": ["explorer", "brave"]}}, "'brave'"),
         ({"portfolio": {"members": []}}, "members"),
-        ({"portfolio": {"weights": {"one": {"information": 0.0, "effort": 0.0}}}}, "weights is"),
-        ({"portfolio": {"weights": {"one": {"fame": 1.0}}}}, "'fame'"),
-        ({"portfolio": {"weights": {"one": {"information": -1.0}}}}, "portfolio.weights.one.info"),
+        (
+            {
+                "portfolio": {
+                    "members": None,
+                    "weights": {"one": {"information": 0.0, "effort": 0.0}},
+                }
+            },
+            "weights is",
+        ),
+        ({"portfolio": {"members": None, "weights": {"one": {"fame": 1.0}}}}, "'fame'"),
+        (
+            {"portfolio": {"members": None, "weights": {"one": {"information": -1.0}}}},
+            "portfolio.weights.one.info",
+        ),
         ({"portfolio": {"common": {"information": 0.0}}}, "common"),
         ({"portfolio": {"common": {"fame": 1.0}}}, "'fame'"),
         ({"portfolio": {"fusion": "contextual"}}, "names that include"),
@@ -382,7 +393,8 @@ def test_a_member_that_is_to_weigh_nothing_is_refused() -> None:
 def test_a_robot_that_returns_has_its_start_as_its_goal_when_all_is_explored(architecture) -> None:
     world = {**SMALL["world"], "targets": [], "movers": []}
     home = {"returns": True, "architecture": architecture, "watch": None}
-    scenario = build(make_settings({**SMALL, "map": "yard", "world": world, **home})).scenario
+    entries = {**SMALL, "map": "yard", "world": world, **home}
+    scenario = build(make_settings(without_unread(entries))).scenario
     assert scenario.goal.tolist() == scenario.start[:2].tolist()
     assert scenario.max_unknown == scenario.perception.max_unknown == 0.0
     # Guidance to the goal on its own would keep the robot near its start.

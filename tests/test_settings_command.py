@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from click.shell_completion import ShellComplete
 
-from jaxplore.build.tasks import make_settings
 from jaxplore.cli import cli, main
 from jaxplore.cli._entries import option_entries
-from jaxplore.settings.reference import PLACES, find_rows, setting_names
 from jaxplore.study.tuning.optimizers import NAMES
+from jaxplore.tasks.reference import find_rows, setting_names
+from jaxplore.tasks.registry import make_settings, places
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +24,7 @@ def settings_of(place: str | None, file: str | None) -> object:
     return make_settings(option_entries({**given, "controller__num_samples": None}))
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", places())
 def test_printed_settings_are_a_settings_file_of_the_same_run(place: str, capsys) -> None:
     main(["settings", place])
     Path("settings.yaml").write_text(capsys.readouterr().out)
@@ -43,7 +43,7 @@ def words_of(text: str) -> str:
 def test_a_section_is_a_table(capsys) -> None:
     main(["settings", "lidar"])
     shown = words_of(capsys.readouterr().out)
-    assert shown.startswith("lidar (exploration): the lidar of the robot setting default [unit]")
+    assert shown.startswith("lidar (on a map): the lidar of the robot setting default [unit]")
     for text in (
         "max_range 5.0 [m] greatest range; static",
         "Accepted: number in (0, 10000]. Read by: every run.",
@@ -54,7 +54,7 @@ def test_a_section_is_a_table(capsys) -> None:
         assert text in shown
     main(["settings", "controller"])
     shown = words_of(capsys.readouterr().out)
-    assert "controller (exploration)" in shown
+    assert "controller (on a map)" in shown
     assert "controller (along a path)" in shown
 
 
@@ -76,7 +76,7 @@ def test_a_setting_is_a_table_of_all_that_is_known(capsys) -> None:
     first, _, second = shown.partition(" controller.information_weight (in a volume) ")
     assert second.startswith("meaning weight of `VolumeInformationCost`.")
     assert first == (
-        "controller.information_weight (exploration) meaning weight of `InformationCost`. unit - "
+        "controller.information_weight (on a map) meaning weight of `InformationCost`. unit - "
         "default 2.0 accepted number >= 0 read by explorer, rule-based explorers (office) note "
         "Sets the controller parameter `cost.information.weight`. owner explorer"
     )
@@ -119,7 +119,7 @@ def completed(*arguments: str) -> list[str]:
         (["s"], ["settings"]),
         (["run", "--set"], ["--settings", "--set"]),
         (["run", "wa"], ["warehouse", "warehouse3d"]),
-        (["compare", ""], list(PLACES)),
+        (["compare", ""], list(places())),
         (
             ["run", "office", "--set", "rates."],
             ["rates.control=", "rates.sensing=", "rates.fields="],
@@ -148,7 +148,7 @@ def test_every_setting_is_completed_once() -> None:
     assert completed("run", "--set", "") == [f"{name}=" for name in setting_names()]
     found = completed("settings", "")
     assert len(found) == len(set(found))
-    assert {*PLACES, *setting_names(), "lidar"} <= set(found)
+    assert {*places(), *setting_names(), "lidar"} <= set(found)
 
 
 def test_a_shell_asks_through_the_environment(capsys, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -165,14 +165,14 @@ def test_settings_of_another_robot_are_a_scenario(tmp_path) -> None:
     wagon = tmp_path / "wagon.yaml"
     wagon.write_text("robot: {model: differential_drive, max_speed: 3}", encoding="utf-8")
     track = tmp_path / "hall.csv"
-    scenarios, common = scenario_entries(asked(map_="path", obstacles=5), [str(wagon)])
+    scenarios, common = scenario_entries(asked(map_="path", obstacles__number=5), [str(wagon)])
     assert scenarios["path"] == common == {"path": "track", "obstacles": {"number": 5}}
     assert scenarios["wagon"] == {
         **common,
         "robot": {"model": "differential_drive", "max_speed": 3},
     }
     # Of several places, only what they share is worth keeping.
-    scenarios, common = scenario_entries(asked(map_="path", obstacles=5), [str(track)])
+    scenarios, common = scenario_entries(asked(map_="path", obstacles__number=5), [str(track)])
     assert scenarios["hall"] == {"path": str(track), "obstacles": {"number": 5}}
     assert common == {"obstacles": {"number": 5}}
 

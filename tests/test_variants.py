@@ -7,11 +7,11 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.study.comparison.compare import compare
 from jaxplore.study.runner import Runner
 from jaxplore.study.variants import make_variants
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 

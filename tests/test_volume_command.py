@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.build.volume import build_sensors, build_world, volume_size
 from jaxplore.cli import main
 from jaxplore.maps.files.volume_file import open_volume
-from jaxplore.settings.volume import GENERATED
+from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.volume.build import build_sensors, build_world, volume_size
+from jaxplore.tasks.volume.settings import GENERATED
 
 # As in the tests of volumes elsewhere, which run these programs too.
 FEW = (
@@ -75,8 +75,8 @@ def test_words_name_volumes(name: str) -> None:
         (("forest", "--start", "0", "0", "0", "0"), "start is (0, 0, 0), within 0.3 m of a solid"),
         (("forest", "--start", "99", "0", "0", "0"), "start is (99, 0, 0), off the volume; accep"),
         (("office", "--start", "2", "2", "1", "0"), "setting start is (2.0, 2.0, 1.0, 0.0); acce"),
-        (("forest", "--beams", "20"), "lidar.num_beams is 20 beside a volume; accepted: with a m"),
-        (("forest", "--laps", "2"), "laps is 2 beside a volume"),
+        (("forest", "--beams", "20"), "lidar.num_beams is 20 in a volume; accepted: on a map"),
+        (("forest", "--laps", "2"), "laps is 2 in a volume; accepted: along a path"),
         (("forest", "--architecture", "portfolio"), "setting architecture is 'portfolio'; accept"),
         (("forest", "--set", "camera=null"), "settings camera and lidar are null; accepted: one"),
         (
@@ -112,7 +112,7 @@ def test_a_file_is_read_once_until_it_changes(room: Path, monkeypatch) -> None:
         read.append(arguments)
         return open_volume(*arguments, **more)
 
-    monkeypatch.setattr("jaxplore.build.volume.open_volume", counted)
+    monkeypatch.setattr("jaxplore.tasks.volume.build.open_volume", counted)
     settings = make_settings({"volume": str(room / "room.npy"), "resolution": 0.2})
     assert volume_size(settings) == volume_size(settings) == ((12, 20, 40), 0.2)
     worlds = [build_world(settings)[0] for _ in range(2)]

@@ -6,15 +6,15 @@ from functools import cached_property
 
 import numpy as np
 
-from jaxplore.build.exploration import build_scenario
-from jaxplore.build.parts import build_robot
-from jaxplore.build.world import build_world
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 from jaxplore.report.drawing.picture import to_frame
 from jaxplore.sensing.base import Sensor
-from jaxplore.settings.exploration import Settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.tasks.exploration.build import build_scenario
+from jaxplore.tasks.exploration.settings import Settings
+from jaxplore.tasks.exploration.world import build_world
+from jaxplore.tasks.robot import build_robot
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

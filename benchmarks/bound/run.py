@@ -16,12 +16,12 @@ from benchmarks.bound.roads import is_straight, step_lengths
 from benchmarks.bound.sight import Sight
 from benchmarks.bound.tour import Planner, Tour
 from jaxplore._text import printable_path
-from jaxplore.build.tasks import make_settings
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.settings.exploration import Settings
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.run import Run
+from jaxplore.tasks.exploration.settings import Settings
+from jaxplore.tasks.registry import make_settings
 
 LEVELS = (90, 99)
 """Coverages for which bounds are computed [%]."""

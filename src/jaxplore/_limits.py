@@ -1,7 +1,7 @@
 """The greatest and smallest numbers that are accepted. Each bound stands here and nowhere else.
 
 They are far beyond what people use, and keep a wrong digit or a hostile file from taking all
-memory or time. Where sizes multiply, `jaxplore.build.needs` estimates the memory of a run.
+memory or time. Where sizes multiply, `jaxplore.tasks.memory` estimates the memory of a run.
 """
 
 LARGEST = 1e12

@@ -210,8 +210,8 @@ def test_steps_are_at_most_an_octile_ratio_longer_than_the_straight_line() -> No
 
 
 def test_problems_without_a_bound_are_refused(make_problem: Make) -> None:
-    from jaxplore.build.tasks import make_settings
     from jaxplore.sensing.lidar import Lidar
+    from jaxplore.tasks.registry import make_settings
 
     with pytest.raises(ValueError, match="field_of_view of a sensor is 180 degrees; accepted: 360"):
         make_problem(corridor(), (5.5, 3.5), sensors=(Lidar(field_of_view=math.pi),))

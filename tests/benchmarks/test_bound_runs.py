@@ -19,11 +19,11 @@ from benchmarks.bound.tour import Tour
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.build.tasks import make_settings
 from jaxplore.report.compute import Timing
 from jaxplore.report.drawing.figure import figure_bytes
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.tasks.registry import make_settings
 
 PERIOD = 0.1
 

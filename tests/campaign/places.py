@@ -17,13 +17,13 @@ from jaxplore.maps.terrain import TerrainMap
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.ros.bag_writer import BagWriter
-from jaxplore.settings.exploration import make_exploration_settings
 from jaxplore.simulation.run import Run
 from jaxplore.study.comparison.row_task import RowTask
 from jaxplore.study.comparison.rows import make_row, store_row
 from jaxplore.study.runner import Runner
 from jaxplore.study.tuning.episodes import MetricsTask, Result
 from jaxplore.study.tuning.objective import flat, with_late_times
+from jaxplore.tasks.exploration.settings import make_exploration_settings
 
 BASE = "base"
 """Folder of the valid files, beside the folders of the cases."""

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from jaxplore.cli import main
-from jaxplore.settings.exploration import GROUND
+from jaxplore.settings.architectures import GROUND
 from jaxplore.study.comparison import compare_maps as comparing
 from jaxplore.study.comparison.episodes import MapEpisode
 from jaxplore.study.comparison.maps import MapFile

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from jaxplore.settings.exploration import ARCHITECTURES
+from jaxplore.settings.architectures import ARCHITECTURES
 from jaxplore.study.comparison.episodes import (
     MapEpisode,
     common_settings,

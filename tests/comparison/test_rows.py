@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.exploration.reachability import open_spot
@@ -25,6 +24,7 @@ from jaxplore.study.comparison.rows import (
     make_row,
     store_row,
 )
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.control import (
     AdaptiveHorizon,
     ControlNoise,
@@ -19,6 +18,7 @@ from jaxplore.control import (
 )
 from jaxplore.control.knots import Knots
 from jaxplore.costs.base import Cost
+from jaxplore.tasks.registry import build, make_settings
 
 ROBOT = jx.DifferentialDrive(drag=0.1)
 KEY, LONG = jax.random.key(0), 12

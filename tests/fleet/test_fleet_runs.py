@@ -425,7 +425,7 @@ def test_bad_settings_of_a_fleet_get_one_line(fails) -> None:
     assert "fleet.starts has 1 poses for 4 robots" in fails(
         "run", "fleet", "--set", "fleet.starts=[[1,6.6,0]]"
     )
-    assert "fleet.robots is 3 beside a path" in fails("run", "path", "--robots", "3")
+    assert "fleet.robots is 3 along a path" in fails("run", "path", "--robots", "3")
 
 
 @pytest.mark.parametrize("target", ["information", "walls"])

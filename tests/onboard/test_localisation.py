@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from jaxplore.belief import scan_map
-from jaxplore.build.onboard import build_pilot, make_node_settings
 from jaxplore.localisation import LoopCloser
 from jaxplore.onboard import localisation, steps
 from jaxplore.onboard.localisation import MapPoses, compose
 from jaxplore.onboard.odometry import PoseHistory
 from jaxplore.onboard.options import Mode
 from jaxplore.sensing.beams import Scan
+from jaxplore.tasks.exploration.pilot import build_pilot, make_node_settings
 
 pytestmark = pytest.mark.long
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxplore as jx
-from jaxplore.build.tasks import make_settings
 from jaxplore.parts.battery.robot import JOULES, Battery, Charge
 from jaxplore.parts.battery.truth import DOCK_RADIUS, TrueBattery, drive_length
+from jaxplore.tasks.registry import make_settings
 
 SIDE = 0.1
 ROBOT = jx.DifferentialDrive(max_speed=1.0, radius=0.15)

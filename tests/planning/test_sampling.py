@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.build.tasks import make_settings
 from jaxplore.control import (
     AdaptiveSoftmax,
     ColouredNoise,
@@ -25,8 +24,9 @@ from jaxplore.planning.presets.quadrotor import goal_mppi
 from jaxplore.planning.presets.sampling import NOISES, PARAMETERISATIONS, WEIGHTINGS
 from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.path import ContouringSettings
 from jaxplore.settings.sections import NoiseName, ParameterisationName, WeightingName
+from jaxplore.tasks.path.settings import ContouringSettings
+from jaxplore.tasks.registry import make_settings
 
 ROBOT = jx.DifferentialDrive()
 SMALL: dict[str, Any] = {"horizon": 10, "num_samples": 64}

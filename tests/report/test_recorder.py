@@ -19,7 +19,6 @@ from mcap.reader import make_reader
 import jaxplore as jx
 from jaxplore.control.mppi import MPPI
 from jaxplore.recorder import McapRecorder, SwitchedRecorder
-from jaxplore.recorder.messages import even_angles
 from jaxplore.recorder.recorder import RecordingWarning
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -28,6 +27,7 @@ from jaxplore.report.recording import Recording
 from jaxplore.report.volume.data import VolumeFrame, VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.simulation.monitor import Requests, Update
+from jaxplore.topics.messages import even_angles
 
 COMMON = ["/command", "/metrics", "/objects", "/plan", "/pose"]
 COMMON += ["/rollout_costs", "/rollouts", "/state", "/tf"]

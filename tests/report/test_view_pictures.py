@@ -16,12 +16,12 @@ from jaxplore.report.drawing.colours import FREE, OCCUPIED, UNKNOWN
 from jaxplore.report.drawing.palette import HEAT, MAX_HEAT
 from jaxplore.report.drawing.rollout_costs import cost_colours
 from jaxplore.report.following.laps import speeds
+from jaxplore.scenes.scene import linear_light
+from jaxplore.scenes.shapes import grow_outlines, prisms, segments, strip, turn
+from jaxplore.scenes.textures import Ground
 from jaxplore.view.history import History, Thinned, plain
 from jaxplore.view.replay import Replay
 from jaxplore.view.rollouts import weight_colours
-from jaxplore.view.scene import linear_light
-from jaxplore.view.shapes import grow_outlines, prisms, segments, strip, turn
-from jaxplore.view.textures import Ground
 
 
 def rng() -> np.random.Generator:
@@ -329,7 +329,7 @@ def test_a_run_that_cannot_be_shown_is_one_line_and_leaves_no_server(recording) 
 
 def test_other_tasks_are_shown_by_their_own_picture(recording) -> None:
     from jaxplore.report.recording import Recording
-    from jaxplore.view.animation import PictureScene
+    from jaxplore.scenes.picture import PictureScene
 
     class Dot(Recording):
         def metrics(self, *, seed=None):

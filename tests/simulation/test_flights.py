@@ -12,11 +12,11 @@ import pytest
 from tests.kinds import flight_controller, flight_scenario
 
 from jaxplore import Faults
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.base import Controller
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxplore import LatencyCompensation, simulate
-from jaxplore.build.tasks import build, make_settings
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 

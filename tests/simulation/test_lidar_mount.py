@@ -9,13 +9,13 @@ import pytest
 from tests.simulation.conftest import u_shaped_world
 
 from jaxplore import DifferentialDrive, Lidar, Unicycle
-from jaxplore.build.onboard import check_no_mount, make_node_settings
-from jaxplore.build.parts import build_sensors
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.sensing import LidarMount
-from jaxplore.settings.exploration import make_exploration_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.state import Moment
+from jaxplore.tasks.exploration.pilot import check_no_mount, make_node_settings
+from jaxplore.tasks.exploration.settings import make_exploration_settings
+from jaxplore.tasks.robot import build_sensors
 
 pytestmark = pytest.mark.long
 

@@ -25,11 +25,11 @@ from jaxplore import simulate
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.recorder import SwitchedRecorder
 from jaxplore.report.drawing.rollout_costs import cost_colours
+from jaxplore.scenes.scene import linear_light
 from jaxplore.simulation.loop import frame_arrays, run_chunk
 from jaxplore.simulation.monitor import Requests
 from jaxplore.view import LiveView, is_public
 from jaxplore.view.live import SPEEDS
-from jaxplore.view.scene import linear_light
 from jaxplore.view.server import close_server, link, open_server
 from jaxplore.view.sliders import choose_knobs, slider_range
 

@@ -8,10 +8,10 @@ from scipy import stats
 from tests.kinds import Yard
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.base import Controller, Info
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 from jaxplore.simulation.plant import ContinuousPlant, Plant, as_plant
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 

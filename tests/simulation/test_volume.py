@@ -174,8 +174,8 @@ def test_a_trail_is_pale_in_a_slice_that_it_is_not_near(run, monkeypatch) -> Non
 
 
 def test_a_replay_shows_its_voxels_in_space(run) -> None:
+    from jaxplore.tasks.volume.scene import VolumeScene
     from jaxplore.view.replay import Replay
-    from jaxplore.view.volume import VolumeScene
 
     replay = Replay(run.recording)
     try:

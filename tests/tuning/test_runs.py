@@ -10,7 +10,6 @@ import pytest
 from PIL import Image, ImageChops
 
 import jaxplore as jx
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.drawing.film import CAPTION, FilmOptions
 from jaxplore.report.following.animation import path_frame_image
 from jaxplore.study.runner import Runner
@@ -21,6 +20,7 @@ from jaxplore.study.tuning.objective import Objective
 from jaxplore.study.tuning.result import TuningResult
 from jaxplore.study.tuning.significance import change, changes, table, verdict
 from jaxplore.study.tuning.trials import Trial
+from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
 

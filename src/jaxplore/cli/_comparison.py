@@ -2,23 +2,23 @@
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import MOST_AT_ONCE, MOST_SEEDS
-from jaxplore.build.tasks import build, find_task, make_settings
-from jaxplore.cli._entries import folder_name, option_entries
+from jaxplore.cli._entries import SAMPLES, option_entries, with_samples
 from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import Pictures, take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._show import free_name, reserve, show_comparison, show_starts, show_unread
+from jaxplore.cli._show import free_name, reserve, show_comparison, show_starts
 from jaxplore.cli._terminal import say
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.table import print_table
-from jaxplore.settings.exploration import GROUND, QUADROTOR, merge_entries
+from jaxplore.settings.architectures import GROUND, QUADROTOR
+from jaxplore.settings.readers import read_values
 from jaxplore.settings.sections import RunSettings
 from jaxplore.study.comparison.compare import compare
 from jaxplore.study.comparison.compare_maps import MapComparison, compare_maps
@@ -28,6 +28,8 @@ from jaxplore.study.comparison.store import Plan
 from jaxplore.study.runner import Runner
 from jaxplore.study.seeds import check_number_of_seeds
 from jaxplore.study.variants import make_variants
+from jaxplore.tasks.exploration.settings import merge_entries
+from jaxplore.tasks.registry import build, find_kind, folder_name, keep_read, make_settings
 
 _OF_MAPS = ("starts", "batch")
 """Options for --maps only."""
@@ -86,18 +88,20 @@ def _in_one_place(
     *,
     overwrite: bool,
 ) -> None:
+    samples = options.pop(SAMPLES)
     entries = option_entries(options)
     if not variants:
         variants = {
-            name: {"architecture": name} for name in find_task(entries).architectures(entries)
+            name: {"architecture": name} for name in find_kind(entries).architectures(entries)
         }
     if not variants:
         raise ValueError(
             "--vary is missing; accepted here: --vary NAME=A,B or --variants FILE,FILE"
         )
-    given = {name: merge_entries(entries, own) for name, own in variants.items()}
+    entries = with_samples(entries, samples, options["assignments"], variants.values())
+    given = keep_read({name: merge_entries(entries, own) for name, own in variants.items()})
     check_memory(map(make_settings, given.values()), limit, num_runs=runner.num_processes)
-    started = {name: find_task(each).with_start(each) for name, each in given.items()}
+    started = {name: find_kind(each).with_start(each) for name, each in given.items()}
     settings = {name: make_settings(each) for name, each in started.items()}
     _check_one_robot(settings)
     common = next(iter(settings.values()))
@@ -107,16 +111,12 @@ def _in_one_place(
     # The keys are left out: `compare` makes one for each seed.
     experiments = {name: build(each)[:3] for name, each in settings.items()}
     show_starts(given, started)
-    show_unread(options["assignments"], settings.values())
     first = common.seed
     check_number_of_seeds("--seeds", range(first, first + seeds))
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
-    # Defaults depend on the architecture; settings.yaml stores those of the first one.
-    architecture = getattr(common, "architecture", None)
-    kind = {} if architecture is None else {"architecture": architecture}
-    kept = make_settings(find_task(entries).with_start({**entries, **kind}))
+    kept = _shared_settings(entries, settings.values())
     own = {
-        name: settings[name].model_dump(mode="json")
+        name: read_values(settings[name])
         for name, each in variants.items()
         if set(each) != {"architecture"}
     }
@@ -127,11 +127,26 @@ def _in_one_place(
             animation=pictures.animation,
             film=pictures.film,
             figures=pictures.figures,
-            settings=kept.model_dump(mode="json", exclude={"architecture"}),
+            settings={name: each for name, each in kept.items() if name != "architecture"},
             variants=own,
             on_progress=lambda share: advance(share, ""),
         )
     show_comparison(result, folder)
+
+
+def _shared_settings(entries: dict[str, Any], runs: Iterable[RunSettings]) -> dict[str, Any]:
+    """Return what the runs read of the entries that they share, with defaults.
+
+    Defaults depend on the architecture: where two runs have others, those of the first are kept.
+    """
+    kind = find_kind(entries)
+    found: dict[str, Any] = {}
+    for run in runs:
+        architecture = getattr(run, "architecture", None)
+        own = {} if architecture is None else {"architecture": architecture}
+        settings = kind.make_settings(kind.with_start({**entries, **own}))
+        found = merge_entries(read_values(settings), found)
+    return found
 
 
 def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:
@@ -165,6 +180,7 @@ def _on_maps(
             raise ValueError(
                 f"{shown} is {options[name]} beside --maps; accepted: one of them, and --starts"
             )
+    samples = options.pop(SAMPLES)
     entries = option_entries(options)
     maps = maps_in(given["maps"])
     if given["starts"] is not None:
@@ -174,22 +190,27 @@ def _on_maps(
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
     batch = 1 if given["batch"] is None else given["batch"]
     check_count("--batch", batch, MOST_AT_ONCE)
-    all_settings = []
-    for name, own in variant_entries(variants or GROUND).items():
-        # A variant without an architecture of its own is named by it.
-        common = merge_entries({**entries, "architecture": name}, own)
-        for each in maps:
-            settings = make_settings({**common, "map": each.path})
-            all_settings.append(settings)
-            # The runs on a map that cannot be read fail, and the others go on.
-            check_memory(
-                [settings],
-                limit,
-                num_runs=runner.num_processes,
-                batch=batch,
-                must_be_readable=False,
-            )
-    show_unread(options["assignments"], all_settings)
+    # A variant without an architecture of its own is named by it.
+    own_entries = {
+        name: {"architecture": name, **own}
+        for name, own in variant_entries(variants or GROUND).items()
+    }
+    on_first = [{**own, "map": maps[0].path} for own in own_entries.values()]
+    entries = with_samples(entries, samples, options["assignments"], on_first)
+    runs = {
+        (name, each.path): {**merge_entries(entries, own), "map": each.path}
+        for name, own in own_entries.items()
+        for each in maps
+    }
+    for each in keep_read(runs).values():
+        # The runs on a map that cannot be read fail, and the others go on.
+        check_memory(
+            [make_settings(each)],
+            limit,
+            num_runs=runner.num_processes,
+            batch=batch,
+            must_be_readable=False,
+        )
     seeds_of_all = range(first, first + seeds)
     check_number_of_seeds("--seeds", seeds_of_all)
     plan = Plan(maps, variants or GROUND, tuple(seeds_of_all), entries, batch)

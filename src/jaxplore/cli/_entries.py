@@ -1,49 +1,21 @@
 """Conversion of options to settings entries."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxplore._files import YAML_SUFFIXES, parse_yaml, yaml_beside
-from jaxplore._spelling import match_spelling
-from jaxplore._text import printable_path, short_repr
-from jaxplore.maps.files.volume_file import SUFFIXES
-from jaxplore.settings.exploration import (
-    OFFICE,
-    SCENARIOS,
-    ZONES,
-    is_scenario_file,
-    read_settings,
-)
-from jaxplore.settings.fleet import FLEET
+from jaxplore._files import parse_yaml
+from jaxplore._text import short_repr
 from jaxplore.settings.node import part_node
-from jaxplore.settings.path import PATH, TRACK
-from jaxplore.settings.volume import GENERATED, VOLUME, names_volume
+from jaxplore.settings.readers import find_readers
+from jaxplore.settings.sections import find_field, read_settings
+from jaxplore.tasks.exploration.settings import merge_entries
+from jaxplore.tasks.path.settings import PATH
+from jaxplore.tasks.registry import KINDS, at_place, find_kind
 
-_OF_PATHS = {"laps": "laps", "obstacles": "obstacles.number"}
-"""Options of path following only, and their settings."""
-_OF_VOLUMES = (
-    "seed",
-    "time_limit",
-    "start",
-    "target_coverage",
-    "resolution",
-    "architecture",
-    "robot__radius",
-    "robot__max_speed",
-    "controller__num_samples",
-)
-"""Options of the exploration of a volume."""
-_OF_BOTH = (
-    "seed",
-    "time_limit",
-    "start",
-    "robot__model",
-    "robot__radius",
-    "robot__max_speed",
-    "controller__num_samples",
-)
-"""Options of both exploration and path following."""
+SAMPLES = "controller__num_samples"
+"""Option of the number of rollouts, of every architecture."""
+_SAMPLES = "num_samples"
 
 
 def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,106 +26,61 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     # The section of the node, in a file that a drive reads too, is checked and not read.
     file = {} if settings_file is None else read_settings(settings_file, is_trusted=trust)
     entries, _ = part_node(file)
-    entries = _with_map(entries, given.pop("map_"), given.pop("path_file", None), trust)
-    along_path, in_volume = PATH in entries, VOLUME in entries
-    for name, value in given.items():
+    entries = _with_place(entries, given.pop("map_"), given.pop("path_file", None), trust)
+    kind = find_kind(entries)
+    samples = given.pop(SAMPLES, None)
+    for option, value in given.items():
         if value is None:
             continue
-        if along_path and name not in (*_OF_PATHS, *_OF_BOTH):
-            raise ValueError(
-                f"{name.replace('__', '.')} is {value} beside a path; accepted: with a map"
-            )
-        if in_volume and name not in _OF_VOLUMES:
-            raise ValueError(
-                f"{name.replace('__', '.')} is {value} beside a volume; accepted: with a map"
-            )
-        if not along_path and name in _OF_PATHS:
-            raise ValueError(f"--{name} is {value}; accepted: along a path")
-        assign(entries, _OF_PATHS.get(name, name.replace("__", ".")), value)
-    if not (along_path or in_volume) and given["controller__num_samples"] is not None:
-        # The option sets the number of rollouts of every architecture.
-        for section in ("informative", "portfolio"):
-            assign(entries, f"{section}.num_samples", given["controller__num_samples"])
+        name = option.replace("__", ".")
+        if find_field(kind.settings, name) is None:
+            known = [each.place for each in KINDS.values() if find_field(each.settings, name)]
+            raise ValueError(f"{name} is {value} {kind.place}; accepted: {' or '.join(known)}")
+        assign(entries, name, value)
+    assign_all(entries, assignments)
+    return with_samples(entries, samples, assignments)
+
+
+def with_samples(
+    entries: dict[str, Any],
+    samples: int | None,
+    assignments: Sequence[str],
+    variants: Iterable[Mapping[str, Any]] = ({},),
+) -> dict[str, Any]:
+    """Return entries with a number of rollouts, for the controllers of all variants.
+
+    The option stands for the setting of whichever section a variant reads, unless the assignments
+    of `--set` give it.
+    """
+    if samples is None:
+        return entries
+    sections = set[str]()
+    for own in variants:
+        run = merge_entries(entries, dict(own))
+        kind = find_kind(run)
+        settings = kind.make_settings(run)
+        sections |= {
+            section
+            for section in kind.settings.model_fields
+            if find_field(kind.settings, f"{section}.{_SAMPLES}") is not None
+            and find_readers(kind.settings, f"{section}.{_SAMPLES}").reads(settings)
+        }
+    for section in sorted(sections):
+        assign(entries, f"{section}.{_SAMPLES}", samples)
     # `--set` comes last, so that it overrides all other options.
     assign_all(entries, assignments)
     return entries
 
 
-def _with_map(
-    entries: dict[str, Any], map_: str | None, file: str | None, trust: bool
+def _with_place(
+    entries: dict[str, Any], name: str | None, path: str | None, trust: bool
 ) -> dict[str, Any]:
-    """Add the map or the path that the options name to settings entries."""
-    if file is not None and map_ not in (None, PATH):
-        raise ValueError(f"--path is {file!r} beside the map {map_!r}; accepted: one of them")
-    if file is not None:
-        return {**entries, PATH: str(Path(file).absolute())}
-    if map_ == PATH:
-        # The generated track is only a default: the settings file may name a path.
-        return {PATH: TRACK, **entries}
-    if map_ is None:
-        return entries
-    if map_ == FLEET:
-        # The word stands for the default map, unless the settings file names one.
-        return {"map": OFFICE, FLEET: {}, **entries}
-    if names_volume(map_):
-        # The word `volume` stands for what the settings file names, or the default.
-        if map_ == VOLUME:
-            return entries if VOLUME in entries else {VOLUME: map_, **entries}
-        if map_ not in GENERATED:
-            _check_file(Path(map_))
-            map_ = str(Path(map_).absolute())
-        return {**entries, VOLUME: map_}
-    # The settings file overrides those of a scenario, but not the map that the user names.
-    named = map_entries(map_, is_trusted=trust)
-    return {**named, **entries, "map": named["map"]}
-
-
-def folder_name(entries: Mapping[str, Any]) -> str:
-    """Return a name for folders from the map or path of settings entries.
-
-    A file that is just called `map` is named by its folder, as in a comparison on maps.
-    """
-    if entries.get(PATH) == TRACK:
-        return PATH
-    file = Path(str(entries.get(PATH, entries.get(VOLUME, entries.get("map")))))
-    name = file.parent.name if file.stem == "map" and file.parent.name else file.stem
-    return name if entries.get(FLEET) is None else f"{name}-{FLEET}"
-
-
-def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
-    """Return settings entries for a map, a world or a scenario, given by its file or name.
-
-    A file that names code must be trusted.
-    """
-    name = match_spelling(name, SCENARIOS)
-    if name in (OFFICE, ZONES, *SCENARIOS):
-        return {"map": name}
-    _check_file(Path(name))
-    if is_scenario_file(name):
-        return {"map": str(Path(name).absolute()), **read_settings(name, is_trusted=is_trusted)}
-    return {"map": str(Path(name).absolute())}
-
-
-def _check_file(path: Path) -> None:
-    """Raise a `ValueError` that names what there is, if a map is not a file."""
-    accepted = (
-        "the YAML file of a ROS map, of a world or of a scenario, a mesh or another file of a "
-        f"volume, or {', '.join((OFFICE, ZONES, *SCENARIOS, FLEET, PATH, *GENERATED))} or {VOLUME}"
-    )
-    if path.is_dir():
-        inside = sorted(path.glob("*.yaml"))
-        example = f", such as {printable_path(inside[0])}" if inside else ""
-        raise ValueError(f"{printable_path(path)} is a folder; accepted: a file{example}")
-    if not path.exists():
-        raise ValueError(f"{printable_path(path)} is not there; accepted: {accepted}")
-    endings = (*YAML_SUFFIXES, *SUFFIXES)
-    if path.suffix and path.suffix.lower() not in endings:
-        beside = yaml_beside(path)
-        named = "" if beside is None else f"{printable_path(beside)}, which is beside it, or "
-        raise ValueError(
-            f"{printable_path(path)} is of another kind; accepted: {named}a file that ends with "
-            f"{', '.join(endings)}"
-        )
+    """Add the map, the path or the volume that the options name to settings entries."""
+    if path is not None and name not in (None, PATH):
+        raise ValueError(f"--path is {path!r} beside the map {name!r}; accepted: one of them")
+    if path is not None:
+        return {**entries, PATH: str(Path(path).absolute())}
+    return entries if name is None else at_place(entries, name, is_trusted=trust)
 
 
 def assign(entries: dict[str, Any], name: str, value: Any) -> None:

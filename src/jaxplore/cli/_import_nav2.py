@@ -7,7 +7,7 @@ import yaml
 from jaxplore._text import printable_path
 from jaxplore.cli._terminal import say
 from jaxplore.report.folder import write_whole
-from jaxplore.settings.nav2 import Nav2Settings, read_nav2
+from jaxplore.ros.nav2 import Nav2Settings, read_nav2
 
 
 def import_nav2(

@@ -54,11 +54,13 @@ def from_settings() -> Known:
     """Return what the file must say, from the settings themselves."""
     from jaxplore.report.drawing.figure import FORMATS
     from jaxplore.report.drawing.film import FPS, SCALE
-    from jaxplore.settings.exploration import BASELINES, OFFICE, make_exploration_settings
+    from jaxplore.settings.architectures import BASELINES
     from jaxplore.settings.fleet import FLEET
-    from jaxplore.settings.reference import PLACES, rows, section_names, setting_names
     from jaxplore.study.tuning.optimizers import NAMES
     from jaxplore.study.tuning.search import POPULATION
+    from jaxplore.tasks.exploration.settings import OFFICE, make_exploration_settings
+    from jaxplore.tasks.reference import rows, section_names, setting_names
+    from jaxplore.tasks.registry import places
 
     ground, flying = (
         dict(
@@ -79,7 +81,7 @@ def from_settings() -> Known:
         {each: [ground[each], flying[each]] if each in ground else [] for each in setting_names()},
         words,
         list(section_names()),
-        list(PLACES),
+        list(places()),
         list(BASELINES),
         list(NAMES),
         POPULATION,

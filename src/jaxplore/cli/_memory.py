@@ -27,7 +27,7 @@ def memory_limit(options: dict[str, Any]) -> float:
     given = options.pop("memory_limit")
     if given is None:
         # Imported here, so that the help needs no JAX.
-        from jaxplore.build.memory_limit import default_limit
+        from jaxplore.tasks.memory_limit import default_limit
 
         return default_limit()
     if not (math.isfinite(given) and given > 0.0):
@@ -49,11 +49,16 @@ def check_memory(
     Without `node` they are simulations. Each of `num_runs` processes has `batch` runs in one
     program. Unless `must_be_readable`, a run whose map cannot be read is not checked.
     """
-    from jaxplore.build.needs import check_needs, needs
+    from jaxplore.tasks.exploration.memory import estimate_exploration
+    from jaxplore.tasks.memory import check_needs
+    from jaxplore.tasks.registry import kind_of
 
     for settings in runs:
         try:
-            parts = needs(settings, node, limit=limit)
+            if node is None:
+                parts = kind_of(settings).needs(settings, limit)
+            else:
+                parts = estimate_exploration(settings, node=node)  # type: ignore[arg-type]
         except ValueError:
             if must_be_readable:
                 raise

@@ -12,14 +12,7 @@ import jax
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import LONGEST_LATENCY
 from jaxplore._signals import stop_requests
-from jaxplore.build.onboard import (
-    build_goal_chooser,
-    build_pilot,
-    check_no_mount,
-    make_node_settings,
-)
-from jaxplore.build.tasks import build, find_task, make_settings
-from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
+from jaxplore.cli._entries import assign, assign_all, option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._show import free_name, reserve, show_starts
 from jaxplore.cli._terminal import say
@@ -36,13 +29,21 @@ from jaxplore.ros.link import connect
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
-from jaxplore.settings.exploration import Settings
 from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.readers import read_values
 from jaxplore.settings.ros_names import check_namespace
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.monitor import Monitor
 from jaxplore.simulation.run import Run
+from jaxplore.tasks.exploration.pilot import (
+    build_goal_chooser,
+    build_pilot,
+    check_no_mount,
+    make_node_settings,
+)
+from jaxplore.tasks.exploration.settings import Settings
+from jaxplore.tasks.registry import build, find_kind, folder_name, make_settings
 
 _MOST = {"delay": LONGEST_LATENCY, "drift": 1.0}
 """Greatest values of options of the simulated robot."""
@@ -162,7 +163,7 @@ def _save_drive(
 ) -> None:
     """Write the run folder of a drive, with its commands, and print its metrics."""
     run = Run(recording, recording.metrics(seed=settings.seed))
-    kept = {**settings.model_dump(mode="json"), "node": node.model_dump(mode="json")}
+    kept = {**read_values(settings), "node": node.model_dump(mode="json")}
     del kept["map"]
     animation, overwrite = options["animation"], options["overwrite"]
     run.save(folder, overwrite=overwrite, animation=animation, settings=kept, progress=True)
@@ -237,7 +238,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
         )
     given = option_entries(options)
     check_memory([make_settings(given)], limit)
-    entries = find_task(given).with_start(given)
+    entries = find_kind(given).with_start(given)
     settings = make_settings(entries)
     if isinstance(settings, Settings):
         check_no_mount(settings, "--mount and --turning")
@@ -276,7 +277,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
         folder,
         overwrite=overwrite,
         animation=animation,
-        settings=settings.model_dump(mode="json"),
+        settings=read_values(settings),
         progress=True,
     )
     print_table(run.metrics.rows(), title=str(folder), has_header=False)

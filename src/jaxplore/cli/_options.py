@@ -149,7 +149,12 @@ def path_options(command: Any) -> Any:
     """Add the options of a path."""
     # Click lists options in the reverse order of their addition.
     for option in (
-        click.option("--obstacles", type=int, help="Moving obstacles on a path.  [default: 0]"),
+        click.option(
+            "--obstacles",
+            "obstacles__number",
+            type=int,
+            help="Moving obstacles on a path.  [default: 0]",
+        ),
         click.option("--laps", type=int, help="Laps of a closed path.  [default: 1]"),
         click.option(
             "--path",

@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._text import printable_path
-from jaxplore.build.tasks import build, find_task, make_settings
-from jaxplore.cli._entries import folder_name, option_entries
+from jaxplore.cli._entries import option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
-from jaxplore.cli._show import free_name, reserve, save, show_goal, show_starts, show_unread
+from jaxplore.cli._show import free_name, reserve, save, show_goal, show_starts
 from jaxplore.cli._view_options import VIEW
 from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_recording
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import NUM_TRAJECTORIES, Run, simulate
+from jaxplore.tasks.registry import build, find_kind, folder_name, make_settings
 
 SETTINGS = "settings.yaml"
 """File of the settings in a run folder."""
@@ -47,11 +47,10 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     given = option_entries(options)
     # A map is read to find a start on it.
     check_memory([make_settings(given)], limit)
-    entries = find_task(given).with_start(given)
+    entries = find_kind(given).with_start(given)
     settings = make_settings(entries)
     beside = {"--record": record, "--resume": resume, "--view": has_view or None}
     workers = _workers(settings, beside)
-    show_unread(options["assignments"], [settings])
     folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
     # The folder is checked before the run, which may take minutes.
     reserve(folder, overwrite=overwrite)

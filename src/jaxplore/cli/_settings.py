@@ -4,25 +4,18 @@ from jaxplore.cli._known import load_known
 from jaxplore.cli._terminal import say
 from jaxplore.parameters import nearest
 from jaxplore.report.table import print_table
-from jaxplore.settings.commented_yaml import to_commented_yaml
-from jaxplore.settings.exploration import OFFICE
-from jaxplore.settings.reference import (
-    KINDS,
-    PLACES,
+from jaxplore.tasks.commented_yaml import to_commented_yaml
+from jaxplore.tasks.exploration.settings import OFFICE
+from jaxplore.tasks.reference import (
     Row,
+    classes,
     find_rows,
     place_settings,
     plain,
     sections,
 )
+from jaxplore.tasks.registry import KINDS, places
 
-_WORDS = {
-    "exploration": "exploration",
-    "path": "along a path",
-    "volume": "in a volume",
-    "drive": "jaxplore node",
-}
-"""Kinds of tasks in the titles of tables."""
 _WIDEST = 80
 """Greatest width of a column, for the meanings of settings."""
 _MOST_SHOWN = 60
@@ -35,7 +28,7 @@ def show_settings(name: str | None) -> None:
     The name is a scenario, `path`, a section or a dotted setting; without one all settings are
     printed. The error for an unknown name has the nearest ones.
     """
-    if name is None or name in PLACES:
+    if name is None or name in places():
         say(to_commented_yaml(place_settings(name or OFFICE)), nl=False)
         return
     found = find_rows(name)
@@ -46,13 +39,14 @@ def show_settings(name: str | None) -> None:
             f"setting {shown!r} is not known; accepted: such as "
             f"{nearest(shown, load_known().names)}"
         )
-    for task in KINDS:
+    for task in classes():
+        place = KINDS[task].place if task in KINDS else "jaxplore node"
         rows = [row for row in found if row.task == task]
         if rows and rows[0].name == name:
-            title = f"{name} ({_WORDS[task]})"
+            title = f"{name} ({place})"
             print_table(_of_setting(rows[0]), title=title, has_header=False, widest=_WIDEST)
         elif rows:
-            title = f"{name} ({_WORDS[task]}): {sections()[task, name].removesuffix('.')}"
+            title = f"{name} ({place}): {sections()[task, name].removesuffix('.')}"
             print_table(_of_section(rows), title=title, has_lines=True, widest=_WIDEST)
 
 

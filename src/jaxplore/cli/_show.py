@@ -1,7 +1,7 @@
 """Results of the commands: folders, tables and messages."""
 
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from jaxplore.cli._pictures import Pictures
 from jaxplore.cli._terminal import say
 from jaxplore.report.folder import is_reserved, reserve_folder
 from jaxplore.report.table import print_table, transpose
-from jaxplore.settings.reference import why_unread
+from jaxplore.settings.readers import read_values
 from jaxplore.settings.sections import RunSettings, Section
 from jaxplore.simulation.run import Run
 from jaxplore.study.comparison.comparison import Comparison
@@ -66,15 +66,6 @@ def show_goal(settings: RunSettings, scenario: Any) -> None:
         )
 
 
-def show_unread(assignments: Sequence[str], settings: Collection[RunSettings]) -> None:
-    """Print each setting of a `--set` option, NAME=VALUE, that none of the runs reads."""
-    for assignment in assignments:
-        name = assignment.partition("=")[0].strip()
-        readers = why_unread(name, settings)
-        if readers is not None:
-            say(f"--set {name} has no effect here; it is read by: {readers}", err=True)
-
-
 def save(
     result: Run,
     folder: Path,
@@ -91,7 +82,7 @@ def save(
         animation=pictures.animation,
         film=pictures.film,
         figures=pictures.figures,
-        settings=settings.model_dump(mode="json"),
+        settings=read_values(settings),
         progress=True,
     )
     if pictures.video is not None and not is_ending():

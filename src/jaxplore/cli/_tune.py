@@ -6,17 +6,17 @@ from typing import Any
 
 from jaxplore._exit import INTERRUPTED
 from jaxplore._limits import MOST_AT_ONCE, MOST_SEEDS
-from jaxplore.build.tasks import find_task, make_settings
 from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._show import show_starts, show_unread
+from jaxplore.cli._show import show_starts
 from jaxplore.cli._terminal import say
 from jaxplore.cli._tune_entries import parse_budget, parse_measure, scenario_entries
 from jaxplore.cli._tune_options import OWN
 from jaxplore.report.table import print_table
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import build_space, tune
+from jaxplore.tasks.registry import find_kind, keep_read, make_settings
 
 
 def run_tune(options: dict[str, Any], out: Path | None) -> None:
@@ -30,6 +30,8 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
     if options.pop("overwrite"):
         raise ValueError("--overwrite is given; accepted: a new --out, or the folder as it is")
     asked, common = scenario_entries(options, given["also"])
+    is_one_place = common is next(iter(asked.values()))
+    asked = keep_read(asked)
     budget, seconds = parse_budget(given["budget"])
     for name, most in _MOST.items():
         check_count(f"--{name}", given[name], most)
@@ -48,11 +50,10 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
         num_runs=runner.num_processes,
         batch=given["batch"],
     )
-    scenarios = {name: find_task(each).with_start(each) for name, each in asked.items()}
+    scenarios = {name: find_kind(each).with_start(each) for name, each in asked.items()}
     # With one place, the settings of the first scenario are those that the search writes.
-    first_name = next(iter(asked))
-    if common is asked[first_name]:
-        common = scenarios[first_name]
+    if is_one_place:
+        common = next(iter(scenarios.values()))
     name = "-".join(scenarios)
     folder = Path("runs") / f"{name}-tuned" if out is None else out
     with runner:
@@ -64,7 +65,6 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
             batch=given["batch"],
         )
         show_starts(asked, scenarios)
-        show_unread(options["assignments"], [*map(make_settings, scenarios.values())])
         try:
             found = tune(
                 episodes,

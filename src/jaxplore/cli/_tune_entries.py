@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._limits import LONGEST_TIME, MOST_CANDIDATES
-from jaxplore.cli._entries import folder_name, map_entries, option_entries
-from jaxplore.settings.exploration import merge_entries, read_settings
-from jaxplore.settings.path import PATH
+from jaxplore.cli._entries import option_entries
 from jaxplore.study.tuning.search import Measure
+from jaxplore.tasks.exploration.settings import merge_entries, read_settings
+from jaxplore.tasks.registry import default_kind, find_kind, folder_name, place_entries
 
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -24,27 +24,24 @@ def scenario_entries(
     """
     first = option_entries(options)
     trust = options.get("trust", False)
-    along_path = PATH in first
-    if along_path:
-        name, common = PATH, {key: value for key, value in first.items() if key != PATH}
-    else:
-        common = option_entries({**options, "map_": None})
-        if "map" not in first:
-            raise ValueError("map is missing; accepted: the YAML file of a ROS map, or a name")
-        name = folder_name(first)
-    scenarios = {name: first}
+    kind = find_kind(first)
+    if kind.selector not in first:
+        raise ValueError("map is missing; accepted: the YAML file of a ROS map, or a name")
+    common = option_entries({**options, "map_": None}) if kind is default_kind() else first
+    common = {key: value for key, value in common.items() if key != kind.selector}
+    scenarios = {folder_name(first): first}
     for place in also:
         label = Path(place).stem
         if label in scenarios:
             raise ValueError(f"--also is {place!r}, which is there already; accepted: another one")
         if _holds_settings(place):
             scenarios[label] = merge_entries(first, read_settings(place, is_trusted=trust))
-        elif along_path:
-            scenarios[label] = {**common, PATH: str(Path(place).absolute())}
+        elif kind.suffixes:
+            scenarios[label] = {**place_entries(place, is_trusted=trust), **common}
         else:
-            scenarios[label] = {**map_entries(place, is_trusted=trust), **common}
-    where = PATH if along_path else "map"
-    is_one_place = all(each[where] == first[where] for each in scenarios.values())
+            scenarios[label] = {**kind.read_entries(place, is_trusted=trust), **common}
+    where = kind.selector
+    is_one_place = all(each.get(where) == first[where] for each in scenarios.values())
     return scenarios, first if is_one_place else common
 
 

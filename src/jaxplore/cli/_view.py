@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxplore.build.tasks import build
 from jaxplore.cli._pictures import Pictures
 from jaxplore.cli._show import free_name, save
 from jaxplore.cli._terminal import say
@@ -16,6 +15,7 @@ from jaxplore.recorder import McapRecorder, SwitchedRecorder
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.monitor import Monitor
 from jaxplore.simulation.run import Run, simulate
+from jaxplore.tasks.registry import build
 from jaxplore.view import LiveView, Replay, is_public
 
 type Values = Mapping[str, float | list[float]]

@@ -6,11 +6,8 @@ from typing import Any
 
 from jaxplore import _checks
 from jaxplore._limits import MOST_AT_ONCE
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.planning.presets.explorer import waypoint_mppi
 from jaxplore.settings.defaults import parameter_default
-from jaxplore.settings.exploration import OFFICE, Settings
-from jaxplore.settings.path import PATH
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.environment.action_modes import (
     ActionMode,
@@ -19,6 +16,8 @@ from jaxplore.simulation.environment.action_modes import (
 )
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.scenario import Scenario
+from jaxplore.tasks.exploration.settings import OFFICE, Settings
+from jaxplore.tasks.registry import build, default_kind, find_kind, make_settings
 
 DRIVE = {name: parameter_default(waypoint_mppi, name) for name in ("horizon", "num_samples")}
 """Default settings of the controller that drives to waypoints."""
@@ -54,7 +53,8 @@ def build_environment(
         num_floors: number of generated offices, with the seeds from `office.seed` on; each episode
             draws one of them.
         settings: settings of a run, as in a settings file. With a `path` the task is path
-            following, otherwise exploration; the map is the office unless another is given.
+            following, with a `volume` the exploration of one, otherwise that of a map; the map
+            is the office unless another is given.
             `time_limit` ends an episode, `controller` is the MPPI of waypoints.
 
     Raises:
@@ -105,14 +105,15 @@ def _check_settings(scenario: object, settings: dict[str, Any]) -> RunSettings:
                     f"setting {name} is given beside a scenario; accepted: "
                     + ", ".join(BESIDE_A_SCENARIO)
                 )
-    if PATH in settings:
+    if find_kind(settings) is not default_kind():
         return make_settings(settings)
     entries = {"map": OFFICE, "controller": {}, **settings}
     if isinstance(entries["map"], os.PathLike):
         entries["map"] = os.fspath(entries["map"])
     if isinstance(entries["controller"], Mapping):
         entries["controller"] = {**DRIVE, **entries["controller"]}
-    return make_settings(entries)
+    # The controller is that of waypoints, whatever the architecture.
+    return default_kind().make_settings(entries)
 
 
 def _scenarios(settings: RunSettings, num_floors: int) -> list[Scenario]:

@@ -13,31 +13,17 @@ from jaxplore import _checks, _kinds
 from jaxplore._optional import import_optional
 from jaxplore._version import __version__
 from jaxplore.control.base import Controller
-from jaxplore.recorder.channels import Channels
-from jaxplore.recorder.content import Content
-from jaxplore.recorder.exploration import ExplorationContent
-from jaxplore.recorder.fleet import FleetContent
-from jaxplore.recorder.following import PathContent
-from jaxplore.recorder.messages import EXTRA
-from jaxplore.recorder.volume import VolumeContent
-from jaxplore.report.exploration.data import ExplorationData
-from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.folder import whole_file
-from jaxplore.report.following.data import PathData
 from jaxplore.report.recording import Recording
-from jaxplore.report.volume.data import VolumeData
 from jaxplore.simulation.monitor import Monitor, Update
+from jaxplore.tasks.registry import how_shown
+from jaxplore.topics.channels import Channels
+from jaxplore.topics.messages import EXTRA
 
 SUFFIX = ".mcap"
 UPDATE_SECONDS = 0.1
 """Simulated time between the frames of a recording [s]."""
 PROFILE = "jaxplore"
-_CONTENTS: tuple[tuple[type, type[Content]], ...] = (
-    (ExplorationData, ExplorationContent),
-    (PathData, PathContent),
-    (VolumeData, VolumeContent),
-    (FleetData, FleetContent),
-)
 
 
 class RecordingWarning(UserWarning):
@@ -100,7 +86,7 @@ class McapRecorder(Monitor):
             writer.write_metadata("jaxplore", {"version": __version__})
             channels = Channels(context, self._began)
             stack.callback(channels.close)
-            self._content = _content(channels, recording, controller)
+            self._content = how_shown(recording).content(channels, recording, controller)
             self._content.write_start()
             for frame in recording.frames[:1]:
                 self._content.write_frame(frame)
@@ -225,11 +211,3 @@ class _Sink:
         self.flush()
         if self.error is not None:
             raise self.error
-
-
-def _content(channels: Channels, recording: Recording, controller: Controller) -> Content:
-    """Return what is recorded of a kind of task."""
-    for kind, content in _CONTENTS:
-        if isinstance(recording, kind):
-            return content(channels, recording, controller)
-    return Content(channels, recording, controller)

@@ -9,12 +9,12 @@ from pathlib import Path
 from jaxplore import _checks, _kinds
 from jaxplore._optional import import_optional
 from jaxplore.control.base import Controller
-from jaxplore.recorder.messages import EXTRA
 from jaxplore.recorder.recorder import SUFFIX, McapRecorder
 from jaxplore.report.folder import in_one_line
 from jaxplore.report.recording import Recording
 from jaxplore.simulation.chunks import CHUNK_SECONDS
 from jaxplore.simulation.monitor import WATCHED_SECONDS, Monitor, Requests, Update
+from jaxplore.topics.messages import EXTRA
 
 NAME = "recording"
 """First part of the names of files."""

@@ -11,8 +11,11 @@ from jaxplore.planning.portfolio.voting import WeightedVote
 from jaxplore.planning.presets.explorer import explorer
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
+from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
+from jaxplore.settings.architectures import EXPLORING, FLYING, FUSING, INFORMED
 from jaxplore.settings.defaults import setting
+from jaxplore.settings.readers import architectures
 from jaxplore.settings.sections import (
     Body,
     Fraction,
@@ -36,8 +39,22 @@ Deviations = Annotated[tuple[Positive, ...], Field(max_length=MOST_NAMES)]
 Weights = Annotated[dict[str, NonNegative], Field(max_length=MOST_NAMES)]
 
 
+BY_MEMBERS = FUSING.narrow("no portfolio.weights", lambda given: given.portfolio.weights is None)
+SAFE = FUSING.narrow("portfolio.is_safe", lambda given: given.portfolio.is_safe)
+VOTING, CONTEXTUAL = (
+    FUSING.narrow(
+        f"portfolio.fusion {fusion}",
+        lambda given, fusion=fusion: given.portfolio.fusion == fusion,  # type: ignore[misc]
+    )
+    for fusion in ("weighted-vote", "contextual")
+)
+SEQUENTIAL = architectures("sequential")
+
+
 class ControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.explorer`."""
+
+    readers = EXPLORING
 
     parameterisation: ParameterisationName = setting(explorer, "parameterisation")
     horizon: StepsAhead = setting(explorer, "horizon")
@@ -65,10 +82,14 @@ class PortfolioSettings(Section):
         is_safe: whether the fusion is wrapped in a `SafeFusion`.
     """
 
+    readers = FUSING
+
     decomposition: Literal["roles", "temporal", "regional"] = setting(
         ground_portfolio, "decomposition"
     )
-    members: Annotated[tuple[str, ...], Field(max_length=MOST_MEMBERS)] | None = None
+    members: Annotated[
+        Annotated[tuple[str, ...], Field(max_length=MOST_MEMBERS)] | None, BY_MEMBERS
+    ] = None
     weights: Annotated[dict[str, Weights], Field(max_length=MOST_MEMBERS)] | None = None
     common: Weights | None = setting(ground_portfolio, "common")
     fusion: Literal[
@@ -80,16 +101,16 @@ class PortfolioSettings(Section):
         "information-density",
         "contextual",
     ] = "weighted-vote"
-    roles: Annotated[dict[str, str], Field(max_length=MOST_MEMBERS)] | None = setting(
-        Contextual, "roles"
-    )
+    roles: Annotated[
+        Annotated[dict[str, str], Field(max_length=MOST_MEMBERS)] | None, CONTEXTUAL
+    ] = setting(Contextual, "roles")
     is_safe: bool = True
-    regret: NonNegative | None = setting(SafeFusion, "regret")
-    vote_temperature: Positive = setting(WeightedVote, "temperature")
-    near_goal: Positive = setting(Contextual, "near_goal")
-    near_obstacle: Positive = setting(Contextual, "near_obstacle")
-    rich_information: Positive = setting(Contextual, "rich_information")
-    hysteresis: NonNegative = setting(Contextual, "hysteresis")
+    regret: Annotated[NonNegative | None, SAFE] = setting(SafeFusion, "regret")
+    vote_temperature: Annotated[Positive, VOTING] = setting(WeightedVote, "temperature")
+    near_goal: Annotated[Positive, CONTEXTUAL] = setting(Contextual, "near_goal")
+    near_obstacle: Annotated[Positive, CONTEXTUAL] = setting(Contextual, "near_obstacle")
+    rich_information: Annotated[Positive, CONTEXTUAL] = setting(Contextual, "rich_information")
+    hysteresis: Annotated[NonNegative, CONTEXTUAL] = setting(Contextual, "hysteresis")
     parameterisation: ParameterisationName = setting(ground_portfolio, "parameterisation")
     effort: NonNegative = setting(ground_portfolio, "effort")
     horizon: StepsAhead = setting(ground_portfolio, "horizon")
@@ -108,16 +129,18 @@ class InformativeSettings(Section):
     """Informative MPPI: see `jaxplore.informative_mppi`, `jaxplore.Flight` and
     `jaxplore.FieldNumbers`."""
 
-    parameterisation: ParameterisationName = setting(Flight, "parameterisation")
-    horizon: StepsAhead = setting(Flight, "horizon")
-    num_samples: Samples = setting(Flight, "num_samples")
-    noise: NoiseName = setting(Flight, "noise")
-    weighting: WeightingName | None = setting(Flight, "weighting")
-    temperature: Positive = setting(Flight, "temperature")
-    effective_share: Share = setting(Flight, "effective_share")
-    noise_std: Deviations | None = setting(Flight, "noise_std")
-    dt: Step = setting(Flight, "dt")
-    clearance: Body = setting(Flight, "clearance")
+    readers = INFORMED
+
+    parameterisation: Annotated[ParameterisationName, FLYING] = setting(Flight, "parameterisation")
+    horizon: Annotated[StepsAhead, FLYING] = setting(Flight, "horizon")
+    num_samples: Annotated[Samples, FLYING] = setting(Flight, "num_samples")
+    noise: Annotated[NoiseName, FLYING] = setting(Flight, "noise")
+    weighting: Annotated[WeightingName | None, FLYING] = setting(Flight, "weighting")
+    temperature: Annotated[Positive, FLYING] = setting(Flight, "temperature")
+    effective_share: Annotated[Share, FLYING] = setting(Flight, "effective_share")
+    noise_std: Annotated[Deviations | None, FLYING] = setting(Flight, "noise_std")
+    dt: Annotated[Step, FLYING] = setting(Flight, "dt")
+    clearance: Annotated[Body, FLYING] = setting(Flight, "clearance")
     bias_fraction: Fraction = setting(informative_mppi, "bias_fraction")
     likelihood_ratio: bool = setting(informative_mppi, "likelihood_ratio")
     field_beams: Headings = setting(FieldNumbers, "field_beams")
@@ -132,18 +155,41 @@ class InformativeSettings(Section):
     by_heading: bool = setting(informative_mppi, "by_heading")
     reference_speed: Positive = setting(informative_mppi, "reference_speed")
     reference_steps: StepsAhead = setting(informative_mppi, "reference_steps")
-    target_choice: Literal[
-        "remaining", "direct", "discount", "filtered", "temporal", "occlusion"
+    target_choice: Annotated[
+        Literal["remaining", "direct", "discount", "filtered", "temporal", "occlusion"], SEQUENTIAL
     ] = setting(zone_choice, "method")
-    distance_weight: NonNegative | None = setting(zone_choice, "distance_weight")
-    depleted: Share = setting(zone_choice, "depleted")
+    distance_weight: Annotated[NonNegative | None, SEQUENTIAL] = setting(
+        zone_choice, "distance_weight"
+    )
+    depleted: Annotated[Share, SEQUENTIAL] = setting(zone_choice, "depleted")
     goal_when_explored: bool = setting(informative_mppi, "goal_when_explored")
     reference_weight: NonNegative = setting(informative_mppi, "reference_weight")
     local_weight: NonNegative = setting(informative_mppi, "local_weight")
     field_weight: NonNegative = setting(informative_mppi, "field_weight")
     guidance_weight: NonNegative = setting(informative_mppi, "guidance_weight")
     goal_weight: NonNegative = setting(informative_mppi, "goal_weight")
-    obstacle_weight: NonNegative = setting(Flight, "obstacle_weight")
-    height_weight: NonNegative = setting(Flight, "height_weight")
-    speed_weight: NonNegative = setting(Flight, "speed_weight")
-    control_weight: NonNegative = setting(Flight, "control_weight")
+    obstacle_weight: Annotated[NonNegative, FLYING] = setting(Flight, "obstacle_weight")
+    height_weight: Annotated[NonNegative, FLYING] = setting(Flight, "height_weight")
+    speed_weight: Annotated[NonNegative, FLYING] = setting(Flight, "speed_weight")
+    control_weight: Annotated[NonNegative, FLYING] = setting(Flight, "control_weight")
+
+
+class ContouringNumbers(Section):
+    """Contouring control along any path: see `jaxplore.mpcc`."""
+
+    parameterisation: ParameterisationName = setting(mpcc, "parameterisation")
+    noise: Literal["gaussian", "coloured"] = setting(mpcc, "noise")
+    weighting: WeightingName = setting(mpcc, "weighting")
+    effective_share: Share = setting(mpcc, "effective_share")
+    horizon: StepsAhead = setting(mpcc, "horizon")
+    num_samples: Samples = setting(mpcc, "num_samples")
+    dt: Step = setting(mpcc, "dt")
+    temperature: Positive = setting(mpcc, "temperature")
+    contouring_weight: NonNegative = setting(mpcc, "contouring_weight")
+    lag_weight: NonNegative = setting(mpcc, "lag_weight")
+    progress_weight: NonNegative = setting(mpcc, "progress_weight")
+    noise_share: Positive = setting(mpcc, "noise_share")
+    progress_noise: Positive = setting(mpcc, "progress_noise")
+    max_lateral: Positive = setting(mpcc, "max_lateral")
+    max_longitudinal: Positive = setting(mpcc, "max_longitudinal")
+    comfort_weight: NonNegative = setting(mpcc, "comfort_weight")

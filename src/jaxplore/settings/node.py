@@ -1,14 +1,15 @@
 """Settings of the node that drives a robot, beside those of a run."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.report.drawing.rollout_costs import WEIGHT
 from jaxplore.sensing.no_echo import NoEchoRule
+from jaxplore.settings.controllers import ContouringNumbers
 from jaxplore.settings.defaults import setting
-from jaxplore.settings.path import ContouringNumbers
+from jaxplore.settings.readers import EVERY, Readers
 from jaxplore.settings.ros_names import Namespace, Topic
 from jaxplore.settings.sections import (
     Duration,
@@ -22,9 +23,24 @@ from jaxplore.settings.sections import (
 )
 
 
+def _modes(text: str, *modes: str) -> Readers:
+    return Readers(text, lambda settings: settings.node.mode in modes, "node.mode")
+
+
+DRIVING = _modes("the modes control and follow", "control", "follow")
+EXPLORING, FOLLOWING = _modes("the mode control", "control"), _modes("the mode follow", "follow")
+CHOOSING = _modes("the mode goal", "goal")
+NOT_FOLLOWING = _modes("the modes control and goal", "control", "goal")
+LOCALISING = Readers(
+    "the pose internal", lambda settings: settings.node.pose == "internal", "node.pose"
+)
+
+
 class NodeContouring(ContouringNumbers):
     """Contouring control along the paths of another program, by a robot on a floor: see
     `jaxplore.mpcc`."""
+
+    readers = FOLLOWING
 
     temperature: Positive = setting(
         mpcc, "temperature", differs="drive.node.contouring.temperature"
@@ -85,20 +101,22 @@ class NodeSettings(Section):
         contouring: contouring control along the paths of the mode `follow`.
     """
 
-    namespace: Namespace | None = None
-    mode: Literal["control", "follow", "goal"] = "control"
-    pose: Literal["external", "internal"] = "external"
-    map_frame: str = "map"
-    map_topic: Topic = "map"
-    goal_topic: Topic = "goal_pose"
-    path_topic: Topic = "plan"
+    readers = DRIVING
+
+    namespace: Annotated[Namespace | None, EVERY] = None
+    mode: Annotated[Literal["control", "follow", "goal"], EVERY] = "control"
+    pose: Annotated[Literal["external", "internal"], EVERY] = "external"
+    map_frame: Annotated[str, LOCALISING] = "map"
+    map_topic: Annotated[Topic, CHOOSING] = "map"
+    goal_topic: Annotated[Topic, CHOOSING] = "goal_pose"
+    path_topic: Annotated[Topic, FOLLOWING] = "plan"
     scan_topic: Topic = "scan"
-    pose_topic: Topic = "odom"
-    pose_type: Literal["odometry", "pose", "tf"] = "odometry"
+    pose_topic: Annotated[Topic, EVERY] = "odom"
+    pose_type: Annotated[Literal["odometry", "pose", "tf"], EVERY] = "odometry"
     command_topic: Topic = "cmd_vel"
     command_type: Literal["auto", "twist", "twist_stamped"] = "auto"
-    world_frame: str = "odom"
-    robot_frame: str = "base_link"
+    world_frame: Annotated[str, EVERY] = "odom"
+    robot_frame: Annotated[str, EVERY] = "base_link"
     map_size: Width = 50.0
     lidar_x: Real = setting(PilotOptions, "lidar_x")
     lidar_y: Real = setting(PilotOptions, "lidar_y")
@@ -116,9 +134,9 @@ class NodeSettings(Section):
     max_deceleration: Positive = setting(PilotOptions, "max_deceleration")
     max_angular_deceleration: Positive = setting(PilotOptions, "max_angular_deceleration")
     margin: NonNegative = setting(PilotOptions, "margin")
-    done_after: Positive = setting(PilotOptions, "done_after")
-    returns: bool = setting(PilotOptions, "returns")
-    contouring: NodeContouring = NodeContouring()
+    done_after: Annotated[Positive, NOT_FOLLOWING] = setting(PilotOptions, "done_after")
+    returns: Annotated[bool, EXPLORING] = setting(PilotOptions, "returns")
+    contouring: Annotated[NodeContouring, FOLLOWING] = NodeContouring()
 
 
 class DriveSettings(Section):

@@ -8,7 +8,10 @@ from jaxplore._limits import MOST_PEOPLE
 from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.maps.generators.people import walking_people
 from jaxplore.settings.defaults import setting
+from jaxplore.settings.readers import Readers
 from jaxplore.settings.sections import Body, NonNegative, Positive, Section, Seed
+
+WALKING = Readers("runs with people", lambda settings: settings.people.number > 0, "people.number")
 
 
 class PeopleSettings(Section):
@@ -24,8 +27,8 @@ class PeopleSettings(Section):
     """
 
     number: Annotated[int, Field(ge=0, le=MOST_PEOPLE)] = 0
-    speed: NonNegative = setting(walking_people, "speed")
-    radius: Body = setting(walking_people, "radius")
-    seed: Seed | None = None
+    speed: Annotated[NonNegative, WALKING] = setting(walking_people, "speed")
+    radius: Annotated[Body, WALKING] = setting(walking_people, "radius")
+    seed: Annotated[Seed | None, WALKING] = None
     are_expected: bool | None = None
     max_speed: Positive = setting(ObstacleTracker, "max_speed")

@@ -14,8 +14,10 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.lidar_errors import LidarErrors
 from jaxplore.sensing.mount import MOST_MOUNT, LidarMount
+from jaxplore.settings.architectures import QUADROTOR
 from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.defaults import in_degrees, setting
+from jaxplore.settings.readers import EVERY, Readers, models
 from jaxplore.settings.sections import (
     Beams,
     Body,
@@ -37,6 +39,28 @@ GROUND_ROBOTS = ("differential_drive", "omnidirectional", "unicycle", *CARS)
 ViewDegrees = Annotated[float, Field(gt=0, lt=180)]
 
 
+_DRIVEN = ("differential_drive", "omnidirectional")
+WHEELED = models(*_DRIVEN)
+TURNING = models(*_DRIVEN, "unicycle")
+BRAKING = models(*_DRIVEN, "ackermann")
+ACCELERATING = models(*_DRIVEN, *CARS)
+ROUND = models(*_DRIVEN, "unicycle", "bicycle", "quadrotor")
+A_CAR, SHAPED = models(*CARS), models("ackermann")
+REVERSING = models("omnidirectional", "unicycle", *CARS)
+DRIVING = models(*GROUND_ROBOTS)
+# A quadrotor's speed is limited by a cost of its controller, not by its model.
+FAST = Readers(
+    f"{DRIVING.text}; {', '.join(QUADROTOR)}",
+    lambda settings: DRIVING.reads(settings) or settings.architecture in QUADROTOR,
+    "robot.model",
+)
+LOG_ODDS = Readers(
+    "sensor_model.kind log_odds",
+    lambda settings: settings.sensor_model.kind == "log_odds",
+    "sensor_model.kind",
+)
+
+
 class RobotSettings(Section):
     """The robot: a model and its bounds.
 
@@ -51,21 +75,29 @@ class RobotSettings(Section):
     """
 
     model: Annotated[str, WordsOrOwn((*GROUND_ROBOTS, "quadrotor"))] = "differential_drive"
-    max_speed: Positive = setting(DifferentialDrive, "max_speed")
-    max_turn_rate: Positive = setting(DifferentialDrive, "max_turn_rate")
-    max_acceleration: Positive = setting(DifferentialDrive, "max_acceleration")
-    max_deceleration: Positive | None = setting(DifferentialDrive, "max_deceleration")
-    max_angular_acceleration: Positive = setting(DifferentialDrive, "max_angular_acceleration")
-    drag: NonNegative = setting(DifferentialDrive, "drag")
-    radius: Body = setting(DifferentialDrive, "radius")
-    mass: Positive = setting(Quadrotor, "mass")
-    wheelbase: Body = setting(Ackermann, "wheelbase")
-    length: Body = 0.75
-    width: Body = 0.4
-    max_steering: Steering = setting(Ackermann, "max_steering")
-    max_steering_rate: Positive = setting(Ackermann, "max_steering_rate")
-    min_speed: Real = setting(Ackermann, "min_speed")
-    max_lateral_speed: Positive | None = setting(Omnidirectional, "max_lateral_speed")
+    max_speed: Annotated[Positive, FAST] = setting(DifferentialDrive, "max_speed")
+    max_turn_rate: Annotated[Positive, TURNING] = setting(DifferentialDrive, "max_turn_rate")
+    max_acceleration: Annotated[Positive, ACCELERATING] = setting(
+        DifferentialDrive, "max_acceleration"
+    )
+    max_deceleration: Annotated[Positive | None, BRAKING] = setting(
+        DifferentialDrive, "max_deceleration"
+    )
+    max_angular_acceleration: Annotated[Positive, WHEELED] = setting(
+        DifferentialDrive, "max_angular_acceleration"
+    )
+    drag: Annotated[NonNegative, BRAKING] = setting(DifferentialDrive, "drag")
+    radius: Annotated[Body, ROUND] = setting(DifferentialDrive, "radius")
+    mass: Annotated[Positive, models("quadrotor")] = setting(Quadrotor, "mass")
+    wheelbase: Annotated[Body, A_CAR] = setting(Ackermann, "wheelbase")
+    length: Annotated[Body, SHAPED] = 0.75
+    width: Annotated[Body, SHAPED] = 0.4
+    max_steering: Annotated[Steering, A_CAR] = setting(Ackermann, "max_steering")
+    max_steering_rate: Annotated[Positive, SHAPED] = setting(Ackermann, "max_steering_rate")
+    min_speed: Annotated[Real, REVERSING] = setting(Ackermann, "min_speed")
+    max_lateral_speed: Annotated[Positive | None, models("omnidirectional")] = setting(
+        Omnidirectional, "max_lateral_speed"
+    )
 
 
 TiltDegrees = Annotated[float, Field(ge=-28, le=28)]
@@ -132,7 +164,9 @@ class SensorModelSettings(Section):
             makes a cell certain.
     """
 
-    kind: Literal["log_odds", "line_of_sight"] = "log_odds"
+    readers = LOG_ODDS
+
+    kind: Annotated[Literal["log_odds", "line_of_sight"], EVERY] = "log_odds"
     occupied: Positive = setting(InverseSensorModel, "occupied")
     free: Negative = setting(InverseSensorModel, "free")
     minimum: Negative = setting(InverseSensorModel, "minimum")

@@ -4,7 +4,7 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -12,9 +12,9 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
-    ValidationInfo,
     field_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxplore._files import parse_yaml, read_bytes
@@ -48,6 +48,8 @@ from jaxplore._text import printable_path, short_repr
 from jaxplore.settings.accepted_values import describe_accepted
 from jaxplore.settings.code_names import check_trusted
 from jaxplore.settings.defaults import setting
+from jaxplore.settings.readers import EVERY, Readers
+from jaxplore.settings.readers import section_class as section_class
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.variation import Variation
 
@@ -112,10 +114,12 @@ class Section(BaseModel):
     """A section of settings. It rejects unknown names and values that are not finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    readers: ClassVar[Readers] = EVERY
+    """Runs that read the settings of the section that say nothing else."""
 
     @field_validator("*", mode="before")
     @classmethod
-    def _match_spelling(cls, value: Any, info: ValidationInfo) -> Any:
+    def _match_spelling(cls, value: Any, info: Any) -> Any:
         """Accept words in either spelling, `weighted_vote` and `weighted-vote`."""
         annotation = cls.model_fields[str(info.field_name)].annotation
         return (
@@ -155,6 +159,13 @@ class VariationSettings(Section):
     heading_noise: Interval = setting(Variation, "heading_noise")
 
 
+ADAPTIVE = Readers(
+    "runs with adaptive_horizon.rule",
+    lambda settings: settings.adaptive_horizon.rule is not None,
+    "adaptive_horizon.rule",
+)
+
+
 class AdaptiveHorizonSettings(Section):
     """A horizon that each step chooses anew: see `jaxplore.control.AdaptiveHorizon`.
 
@@ -167,7 +178,9 @@ class AdaptiveHorizonSettings(Section):
         at_longest: value at which it is the longest, likewise.
     """
 
-    rule: Literal["speed", "clearance", "information"] | None = None
+    readers = ADAPTIVE
+
+    rule: Annotated[Literal["speed", "clearance", "information"] | None, EVERY] = None
     min_horizon: StepsAhead = 20
     at_shortest: Real | None = None
     at_longest: Real | None = None
@@ -323,9 +336,11 @@ def _is_text(name: object) -> bool:
     return True
 
 
-def section_class(annotation: Any) -> type[BaseModel] | None:
-    """Return the section class of a field, optional ones included; None for other fields."""
-    for each in (annotation, *get_args(annotation)):
-        if isinstance(each, type) and issubclass(each, BaseModel):
-            return each
-    return None
+def find_field(section: type[BaseModel], name: str) -> FieldInfo | None:
+    """Return the field of a setting by its dotted name; None for an unknown name."""
+    first, _, rest = name.partition(".")
+    field = section.model_fields.get(first)
+    if field is None or not rest:
+        return field
+    inner = section_class(field.annotation)
+    return None if inner is None else find_field(inner, rest)

@@ -9,9 +9,8 @@ from typing import Any
 
 from jaxplore._files import parse_yaml
 from jaxplore._text import short_repr
-from jaxplore.settings.exploration import Settings, merge_entries, read_settings
-from jaxplore.settings.path import PathSettings
-from jaxplore.settings.volume import VolumeSettings
+from jaxplore.tasks.exploration.settings import merge_entries, read_settings
+from jaxplore.tasks.registry import KINDS
 
 Entries = Mapping[str, Any]
 """Settings as in a settings file."""
@@ -82,10 +81,6 @@ def _entry(name: str, value: Any) -> dict[str, Any]:
     """Return the settings entries that assign a setting or a controller parameter."""
     section, _, rest = name.partition(".")
     # A name that is no section of the settings is the path of a controller parameter.
-    if section not in {
-        *Settings.model_fields,
-        *PathSettings.model_fields,
-        *VolumeSettings.model_fields,
-    }:
+    if not any(section in kind.settings.model_fields for kind in KINDS.values()):
         return {"parameters": {name: value}}
     return {section: {rest: value} if rest else value}

@@ -7,18 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.maps.datum import ORIGIN, Datum, move_points
-from jaxplore.report.exploration.data import ExplorationData
-from jaxplore.report.following.data import PathData
 from jaxplore.report.recording import Frame, Recording
-from jaxplore.report.volume.data import VolumeData
-from jaxplore.view.animation import PictureScene
+from jaxplore.scenes.picture import PictureScene
+from jaxplore.scenes.scene import Scene
+from jaxplore.tasks.registry import how_shown
 from jaxplore.view.curves import Curves
-from jaxplore.view.exploration import ExplorationScene
-from jaxplore.view.following import PathScene
 from jaxplore.view.history import History, plain
 from jaxplore.view.rollouts import RolloutColours
-from jaxplore.view.scene import Scene
-from jaxplore.view.volume import VolumeScene
 
 if TYPE_CHECKING:
     import viser
@@ -58,15 +53,17 @@ class Display:
     def begin(self, recording: Recording) -> None:
         """Show another run, with or without steps."""
         self._curves.clear()
+        positions: Any = getattr(recording, "positions", None)
         self.history = History(recording)
         with self._drawing:
             if self._scene is not None:
                 self._scene.clear()
             self._datum = ORIGIN
-            if isinstance(recording, (ExplorationData, PathData)):
-                self._datum = Datum.near(*recording.positions[0].tolist())
+            shown = how_shown(recording)
+            if shown.is_relative:
+                self._datum = Datum.near(*positions[0].tolist())
             local = recording.move(-self._datum.offset)
-            self._scene, self._frame = make_scene(self.server, local), None
+            self._scene, self._frame = shown.scene(self.server, local), None
             self._rollouts.offer(next(iter(recording.frames), None))
         self._list_layers(self._scene)
 
@@ -150,14 +147,3 @@ class Display:
     def _show_layer(self, event: Any) -> None:
         if self._scene is not None:
             self._scene.show(event.target.label, is_shown=event.target.value)
-
-
-def make_scene(server: "viser.ViserServer", recording: Recording) -> Scene:
-    """Make the scene of a recording, by its kind."""
-    if isinstance(recording, ExplorationData):
-        return ExplorationScene(server, recording)
-    if isinstance(recording, PathData):
-        return PathScene(server, recording)
-    if isinstance(recording, VolumeData):
-        return VolumeScene(server, recording)
-    return PictureScene(server, recording)

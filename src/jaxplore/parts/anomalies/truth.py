@@ -40,7 +40,7 @@ class PlantedAnomalies(PartTruth):
 
     def __init__(self, boxes: Rows = (), kinds: Sequence[int] = ()) -> None:
         _kinds.instance("boxes", boxes, list, tuple, np.ndarray)
-        given = boxes if np.size(boxes) else np.zeros((0, 4), np.float32)
+        given = boxes if len(boxes) else np.zeros((0, 4), np.float32)
         self.boxes = _checks.array("boxes", given, ("P", 4), may_be_empty=True)
         _kinds.instance("kinds", kinds, list, tuple, np.ndarray)
         if len(kinds) != self.boxes.shape[0]:

@@ -14,7 +14,6 @@ from jaxplore.report.drawing.figure import PNG, figure_formats
 from jaxplore.report.folder import lock_folder
 from jaxplore.report.table import to_markdown
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
 from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
 from jaxplore.study.comparison.maps import MapFile, read_datums, read_grids
 from jaxplore.study.comparison.row_task import MakeRows, RowTask, make_rows
@@ -22,6 +21,7 @@ from jaxplore.study.comparison.rows import StoredRow
 from jaxplore.study.comparison.store import Plan, Store, open_store
 from jaxplore.study.comparison.table import NEEDED, MapTable, list_failures, map_tables
 from jaxplore.study.runner import Runner
+from jaxplore.tasks.exploration.settings import OFFICE, make_exploration_settings, merge_entries
 
 PROTOCOL: dict[str, Any] = {
     "rates": {"control": 20.0, "sensing": 10.0, "fields": 5.0},

@@ -9,17 +9,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxplore._spelling import match_spelling
-from jaxplore.build.user_code import hash_user_code, import_robot, import_rule
+from jaxplore.settings.architectures import ARCHITECTURES
 from jaxplore.settings.code_names import is_own
-from jaxplore.settings.exploration import (
-    ARCHITECTURES,
+from jaxplore.study.comparison.maps import MapFile
+from jaxplore.study.seeds import check_number_of_runs, check_number_of_seeds
+from jaxplore.tasks.exploration.settings import (
     OFFICE,
     Settings,
     make_exploration_settings,
     merge_entries,
 )
-from jaxplore.study.comparison.maps import MapFile
-from jaxplore.study.seeds import check_number_of_runs, check_number_of_seeds
+from jaxplore.tasks.user_code import hash_user_code, import_robot, import_rule
 
 FORMAT = 3
 """Version of the stored results. It is raised when former results are no longer comparable, also

@@ -15,7 +15,7 @@ from jaxplore.maps.datum import Datum
 from jaxplore.maps.files.packing import read_files
 from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.settings.exploration import read_settings
+from jaxplore.tasks.exploration.settings import read_settings
 
 STARTS = "starts.yaml"
 """File in a folder of maps with start poses, NAME: [x, y, yaw]."""

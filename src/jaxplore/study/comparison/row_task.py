@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 
 import jax
 
-from jaxplore.build.exploration import build_exploration, with_start
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.settings.exploration import make_exploration_settings
 from jaxplore.study.comparison.episodes import EpisodeBatch
 from jaxplore.study.comparison.rows import Row, StoredRow, make_failed_row, make_row, store_row
 from jaxplore.study.episode import EpisodeTask, InputFile
 from jaxplore.study.experiments import SideBySide, record_alone
+from jaxplore.tasks.exploration.build import build_exploration, with_start
+from jaxplore.tasks.exploration.settings import make_exploration_settings
 
 MakeRows = Callable[[EpisodeBatch], Sequence[Row]]
 """Runs a batch of episodes and returns their rows. Other processes import it by name."""

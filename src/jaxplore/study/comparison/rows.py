@@ -12,9 +12,9 @@ from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.metrics import CURVE_PERIOD
-from jaxplore.settings.exploration import Settings
 from jaxplore.study.comparison.episodes import FORMAT, MapEpisode, canonical
 from jaxplore.study.comparison.replay import make_replay
+from jaxplore.tasks.exploration.settings import Settings
 
 Row = dict[str, Any]
 """Values of a run by column; None where there is no value."""

@@ -8,14 +8,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxplore.build.tasks import build, make_settings
-from jaxplore.build.user_code import hash_user_code, import_rule
 from jaxplore.control.base import Controller
 from jaxplore.maps.files.packing import read_files
 from jaxplore.maps.files.path_file import read_path_file
 from jaxplore.parameters import get_parameters, nearest, set_parameters
 from jaxplore.settings.code_names import is_own
-from jaxplore.settings.exploration import BASELINES
+from jaxplore.settings.readers import read_values
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.study.episode import InputFile
@@ -33,16 +31,16 @@ from jaxplore.study.tuning.episodes import (
 )
 from jaxplore.study.tuning.objective import list_metrics
 from jaxplore.study.tuning.space import Candidate, Space, Value
+from jaxplore.tasks.registry import build, find_kind, kind_of, make_settings, without_unread
+from jaxplore.tasks.user_code import hash_user_code, import_rule
 
 Entries = Mapping[str, Any]
 """Settings as in a settings file."""
 
 PARAMETERS = "parameters"
 """Setting that holds controller parameters by path."""
-_FIXED = ("map", "world", "seed", "start", "goal", "path", "architecture", PARAMETERS)
+_FIXED = ("world", "seed", "start", "goal", "architecture", PARAMETERS)
 """Settings that define the scenario and the task, and are not searched."""
-_OF_CONTROLLERS = ("controller", "portfolio", "informative")
-"""Sections of controllers, of which an architecture reads one."""
 
 
 class SettingsEpisodes(Episodes):
@@ -133,7 +131,9 @@ class SettingsEpisodes(Episodes):
         inside = [name for name in candidate if name not in self._known]
         # Array elements that are not searched keep the values of this scenario's controller.
         arrays = self._current(scenario, None).controller if inside else None
-        return self._with_values(self._scenarios[scenario], candidate, seed, arrays)
+        chosen = self._with_values(self._scenarios[scenario], candidate, seed, arrays)
+        # What a candidate chooses may leave other settings unread.
+        return without_unread(chosen) if candidate else chosen
 
     def largest(self, space: Space) -> Iterator[RunSettings]:
         """Yield the settings of each scenario with the greatest values of a space.
@@ -159,7 +159,7 @@ class SettingsEpisodes(Episodes):
         """
         if len(self._scenarios) == 1:
             settings = self.settings(self.scenarios[0], candidate)
-            return settings.model_dump(mode="json")
+            return read_values(settings)
         return self._with_values(self._common, candidate, None, self._controller)
 
     def _with_values(
@@ -300,36 +300,25 @@ def find_shared_entries(scenarios: Mapping[str, Entries]) -> dict[str, Any]:
 
 def _find_file(entries: Entries) -> InputFile | None:
     """Return the map or path file that settings name; None without one."""
-    setting = "path" if "path" in entries else "map"
+    setting = find_kind(entries).selector
     name = entries.get(setting)
     if not isinstance(name, str) or entries.get("world") is not None or not Path(name).is_file():
         return None
     path = str(Path(name).absolute())
     # The image belongs to the map: another image is another content.
-    data, image = (read_path_file(path), None) if setting == "path" else read_files(path)
+    data, image = read_files(path) if setting == "map" else (read_path_file(path), None)
     return InputFile(setting, path, hashlib.sha256(data + (image or b"")).hexdigest()[:16])
 
 
 def _searchable_settings(settings: RunSettings) -> dict[str, Value]:
     """Return the settings that may be searched, by dotted name: those that affect the run."""
-    entries = settings.model_dump(mode="python", exclude=set(_FIXED))
-    architecture = getattr(settings, "architecture", None)
-    if architecture is not None:
-        read = _SECTION.get(architecture, "informative")
-        if is_own(architecture):
-            # A function makes its controller without them.
-            read = "" if import_rule(architecture) is None else "controller"
-        # A setting of a controller that the architecture does not use would have no effect.
-        for section in _OF_CONTROLLERS:
-            if section != read:
-                del entries[section]
-    return _scalars(entries)
-
-
-_SECTION = {"explorer": "controller", "portfolio": "portfolio"} | dict.fromkeys(
-    BASELINES, "controller"
-)
-"""Section of the controller's settings by architecture."""
+    entries = read_values(settings, "python")
+    fixed = {*_FIXED, find_kind({}).selector, kind_of(settings).selector}
+    architecture: Any = getattr(settings, "architecture", None)
+    if is_own(architecture) and import_rule(architecture) is None:
+        # A function makes its controller without them.
+        fixed.add("controller")
+    return _scalars({name: value for name, value in entries.items() if name not in fixed})
 
 
 def _scalars(entries: Mapping[str, Any], prefix: str = "") -> dict[str, Value]:

@@ -1,1 +1,0 @@
-"""Building of experiments from settings."""

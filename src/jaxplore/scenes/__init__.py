@@ -1,0 +1,1 @@
+"""Scenes of the browser: what each kind of task draws of itself."""

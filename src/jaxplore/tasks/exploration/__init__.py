@@ -1,0 +1,1 @@
+"""Exploration of a plane by one robot or a fleet."""

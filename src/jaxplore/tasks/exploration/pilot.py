@@ -1,0 +1,189 @@
+"""The pilot of a real robot, from settings."""
+
+import jax
+import numpy as np
+
+from jaxplore import _checks
+from jaxplore.belief.car import car_motion
+from jaxplore.belief.perception import Perception
+from jaxplore.costs.base import Cost
+from jaxplore.costs.moving import MovingObstacleCost
+from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.onboard.following import Following, blank_path
+from jaxplore.onboard.goals import GoalChooser
+from jaxplore.onboard.options import PilotOptions
+from jaxplore.onboard.pilot import Pilot
+from jaxplore.parameters import set_parameters
+from jaxplore.planning.presets.path_following import PathFollowing, mpcc
+from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
+from jaxplore.robot.localisation import Localisation
+from jaxplore.settings.code_names import is_own
+from jaxplore.settings.defaults import arguments
+from jaxplore.settings.node import NodeSettings, part_node
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.tasks.exploration.build import build_in, build_scenario
+from jaxplore.tasks.exploration.controllers import build_occlusion_cost
+from jaxplore.tasks.exploration.localisation import build_localisation
+from jaxplore.tasks.exploration.settings import OFFICE, Settings, make_exploration_settings
+from jaxplore.tasks.exploration.world import RunWorld
+from jaxplore.tasks.robot import build_robot, build_sensor_model, build_sensors
+from jaxplore.tasks.user_code import import_rule
+
+NO_PART = (
+    *("map", "is_map_known", "world", "start", "goal", "office", "terrain", "camera", "watch"),
+    *("altitude", "faults", "variation", "latency", "guard"),
+)
+"""Settings of a simulated world, and of parts that a pilot does not have or has of its own."""
+
+
+def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettings]:
+    """Check settings entries of a node: those of a run, and the section `node`.
+
+    Entries that describe a simulated world are not read. A node that chooses goals must get its
+    pose from another program.
+    """
+    run, node = part_node(entries)
+    given = {name: value for name, value in run.items() if name not in NO_PART}
+    if node.pose == "external":
+        # That of a simulated robot: this one gets its pose.
+        given.pop("localisation", None)
+    elif node.mode == "goal":
+        raise ValueError(
+            "setting node.pose is 'internal' with node.mode goal; accepted: external, the pose in "
+            "the map of another program"
+        )
+    elif given.get("localisation") is None:
+        given["localisation"] = {}
+    people = given.get("people", {})
+    if isinstance(people, dict) and people.get("are_expected") is None:
+        given["people"] = {**people, "are_expected": True}
+    # The office stands in for the map: a robot finds its own.
+    # The guard is that of a simulated robot: a pilot has its own checks.
+    settings = make_exploration_settings({**given, "map": OFFICE, "guard": False})
+    check_no_mount(settings, "node.lidar_x, node.lidar_y and node.lidar_yaw_degrees")
+    return settings, node
+
+
+def check_no_mount(settings: Settings, others: str) -> None:
+    """Check that settings neither move the lidar from the robot's centre nor turn it.
+
+    Those settings are for `jaxplore run`. `others` names what says where the lidar is instead.
+    """
+    for name in ("x", "y", "yaw_degrees", "is_turning"):
+        value = getattr(settings.lidar, name)
+        if value:
+            raise ValueError(
+                f"setting lidar.{name} is {value}, which is for `jaxplore run`; accepted: "
+                f"{type(value)()}, beside {others}"
+            )
+
+
+def build_goal_chooser(settings: Settings) -> GoalChooser:
+    """Build the chooser of goals. An architecture of the user's own must be a rule."""
+    robot = build_robot(settings.robot)
+    perception = Perception(
+        build_sensors(settings),
+        settings.resolution,
+        robot.radius,
+        sensor_model=build_sensor_model(settings.sensor_model),
+        car=car_motion(robot),
+        **arguments(settings.fields, Perception),
+    )
+    if is_own(settings.architecture):
+        rule = import_rule(settings.architecture)
+        if rule is None:
+            raise ValueError(
+                f"architecture is {settings.architecture!r}, no rule; accepted: a TargetRule, for "
+                "goals"
+            )
+    else:
+        rule = RULES.get(settings.architecture, DiscountedInformation)()
+    return GoalChooser(perception, rule, max_speed=settings.robot.max_speed)
+
+
+def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = True) -> Pilot:
+    """Build the pilot that settings describe.
+
+    `is_obeyed` says whether the robot executes the commands; it does not in a replay.
+
+    Raises:
+        ValueError: settings that a part rejects, a robot that flies, or a localisation that is not
+            by matching or of whose uncertainty plans shall know.
+    """
+    localisation, settings = _localisation(settings, node)
+    robot = build_robot(settings.robot)
+    if "z" in robot.state_names:
+        raise ValueError(
+            f"setting robot.model is {settings.robot.model!r}; accepted: a robot on the ground"
+        )
+    cells = max(2, round(node.map_size / settings.resolution))
+    side = cells * settings.resolution
+    # The robot stands in the middle of its map. Nothing is known of the world; for the scenario,
+    # which checks that the robot fits, it is free.
+    grid = OccupancyGrid(
+        np.zeros((cells, cells), np.float32), settings.resolution, (-0.5 * side, -0.5 * side, 0.0)
+    )
+    world = RunWorld(grid, (0.0, 0.0, 0.0))
+    key = jax.random.key(settings.seed)
+    options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
+    if node.mode == "follow":
+        if settings.adaptive_horizon.rule is not None:
+            raise ValueError(
+                f"setting adaptive_horizon.rule is {settings.adaptive_horizon.rule!r} with "
+                "node.mode follow; accepted: none"
+            )
+        following = _build_following(settings, node, robot)
+        scenario = build_scenario(settings, following.model, world)
+        controller = set_parameters(following.controller, settings.parameters)
+        pilot = Pilot(
+            scenario, controller, key, options, Following(scenario.perception), localisation
+        )
+    else:
+        # The way back is one more source of the guidance field, which the explorer follows.
+        if settings.architecture == "explorer":
+            world = world._replace(goal=(0.0, 0.0))
+        made = build_in(settings, robot, world)
+        assert isinstance(made.scenario, ExplorationScenario)
+        pilot = Pilot(
+            *(made.scenario, made.controller, key, options),
+            localisation=localisation,
+            occlusion=build_occlusion_cost(settings, world),
+        )
+    pilot.is_started = node.is_autostarted
+    return pilot
+
+
+def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation | None, Settings]:
+    """Return how the pilot finds its pose, and the settings of its scenario, which knows it."""
+    given = settings.localisation
+    if node.pose == "external" or given is None:
+        return None, settings
+    if given.method != "matching":
+        raise ValueError(
+            f"setting localisation.method is {given.method!r} with node.pose internal; accepted: "
+            "'matching', for the robot makes its own map"
+        )
+    for name, accepted in (("uncertainty_weight", 0.0), ("most_uncertainty", None)):
+        value = getattr(given, name)
+        if value != accepted:
+            raise ValueError(
+                f"setting localisation.{name} is {value:g} with node.pose internal; accepted: "
+                f"{'none' if accepted is None else '0'}, for plans of a robot know no uncertainty"
+            )
+    found = build_localisation(settings, build_sensors(settings)[0], settings.resolution)
+    return found, settings.model_copy(update={"localisation": None})
+
+
+def _build_following(settings: Settings, node: NodeSettings, robot: Dynamics) -> PathFollowing:
+    """Build the contouring control of a robot that keeps clear of what its own map shows."""
+    given = settings.controller
+    near: Cost = ObstacleCost(given.clearance)
+    if settings.people.are_expected:
+        near = near + MovingObstacleCost()
+    avoidance = _checks.scalar("obstacle_weight", given.obstacle_weight) * near
+    numbers = arguments(node.contouring, mpcc)
+    if not isinstance(robot, ContinuousDynamics):
+        numbers["comfort_weight"] = None
+    return mpcc(robot, blank_path(), other=avoidance, **numbers)

@@ -1,0 +1,184 @@
+"""The true world of an exploration run, from settings: a ROS map, a world file or a scenario."""
+
+from typing import NamedTuple
+
+from jaxplore.maps.datum import ORIGIN, Datum
+from jaxplore.maps.files.ros import map_datum
+from jaxplore.maps.generators.office import office, start_pose
+from jaxplore.maps.generators.people import walking_people
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.relative import relative_world
+from jaxplore.maps.terrain import TerrainMap
+from jaxplore.maps.world import LabelledObject, MovingObstacle, World, is_world_file, three_zones
+from jaxplore.parts.anomalies.truth import PlantedAnomalies, find_anomalies
+from jaxplore.settings.defaults import arguments
+from jaxplore.simulation.exploration.reachability import open_spot, with_closed
+from jaxplore.tasks.exploration.settings import OFFICE, ZONES, Settings
+from jaxplore.tasks.robot import build_keep_out
+
+ENOUGH = 1.0 - 1e-6
+"""Maps finer than this share of the wanted resolution are resampled. Equal ones differ by rounding
+only."""
+
+
+class RunWorld(NamedTuple):
+    """The true world of a run, the start and the goal, and the map known in advance.
+
+    All positions are relative to the datum, which is (0, 0) unless the map is far away. The start
+    is a pose (x, y, yaw) [m, m, rad], the goal a position (x, y) or (x, y, z) [m]. Nothing is known
+    in advance without a `prior`, and the rectangles `zones` [m] are unknown in any case. Terrain is
+    level without a `ground`. Nobody may be in the rectangles `forbidden` [m]. `planted` is what
+    differs from the prior map, and `objects` are those other than the targets.
+    """
+
+    grid: OccupancyGrid
+    start: tuple[float, float, float]
+    prior: OccupancyGrid | None = None
+    goal: tuple[float, ...] | None = None
+    zones: tuple[tuple[float, ...], ...] = ()
+    ground: Ground | None = None
+    targets: tuple[tuple[float, ...], ...] = ()
+    movers: tuple[MovingObstacle, ...] = ()
+    forbidden: tuple[tuple[float, ...], ...] = ()
+    planted: PlantedAnomalies | None = None
+    objects: tuple[LabelledObject, ...] = ()
+    datum: Datum = ORIGIN
+
+
+def build_world(settings: Settings, radius: float) -> RunWorld:
+    """Build the world of a run. A robot of a radius [m] must fit where the start is chosen.
+
+    Raises:
+        ValueError: a map, world or height map that cannot be read; a start that is not given, on a
+            map without a place for the robot; a goal beside `returns`.
+    """
+    world, given = _still_world(settings, radius), settings.people
+    if settings.returns:
+        if world.goal is not None or settings.fleet is not None:
+            other = "a fleet" if world.goal is None else f"the goal {list(world.goal)}"
+            raise ValueError(
+                f"returns is true beside {other}; accepted: one robot without a goal, which drives "
+                "back to its start"
+            )
+        world = world._replace(goal=tuple(world.start[:2]))
+    if not given.number:
+        return world
+    people = walking_people(
+        world.grid,
+        given.number,
+        speed=given.speed,
+        radius=given.radius,
+        seed=settings.seed if given.seed is None else given.seed,
+    )
+    return world._replace(movers=(*world.movers, *people))
+
+
+def _still_world(settings: Settings, radius: float) -> RunWorld:
+    """Build the world of a run without the people who walk in it."""
+    if is_ros_map(settings):
+        return _on_map(settings, radius)
+    # Beside a `world`, the map is only a name.
+    if settings.world is not None:
+        return _in_world(World.from_dict(settings.world), settings)
+    if settings.map == OFFICE:
+        grid = office(**arguments(settings.office, office), **arguments(settings, office))
+        start = start_pose(grid) if settings.start is None else settings.start
+        return RunWorld(grid, start, _prior_of(grid, settings), goal=settings.goal)
+    if settings.map == ZONES:
+        return _in_world(three_zones(), settings)
+    return _in_world(World.from_yaml(settings.map), settings)
+
+
+def expects_people(settings: Settings, world: RunWorld) -> bool:
+    """Check whether the robot looks out for people: see `PeopleSettings`.
+
+    A robot of a fleet, or on a known ground, is told of what moves.
+    """
+    given = settings.people.are_expected
+    expected = bool(world.movers) if given is None else given
+    return expected and settings.fleet is None and world.ground is None
+
+
+def is_ros_map(settings: Settings) -> bool:
+    """Check whether a run is on a ROS map, the only kind of map that has no start of its own."""
+    if settings.world is not None or settings.map in (OFFICE, ZONES):
+        return False
+    return not is_world_file(settings.map)
+
+
+def _in_world(world: World, settings: Settings) -> RunWorld:
+    given = settings.terrain
+    if given.height_map is not None:
+        raise ValueError(
+            f"terrain.height_map is {given.height_map!r} beside a world, whose ground are its "
+            "hills; accepted: a height map with a ROS map"
+        )
+    options = arguments(given, Ground)
+    datum = Datum.near(*world.origin, name="origin")
+    world = relative_world(world, datum)
+    return RunWorld(
+        world.truth(),
+        world.start if settings.start is None else _local_pose(settings.start, datum),
+        world.prior(),
+        world.goal if settings.goal is None else _local(settings.goal, datum),
+        world.zones,
+        world.ground(**options),
+        world.targets,
+        world.movers,
+        world.forbidden,
+        find_anomalies(world),
+        world.objects,
+        datum,
+    )
+
+
+def _on_map(settings: Settings, radius: float) -> RunWorld:
+    """Build the world of a ROS map, with its height map if there is one.
+
+    A start that is not given is the position with the greatest clearance, heading along x.
+    """
+    given, ground, datum = settings.terrain, None, map_datum(settings.map)
+    reading = arguments(settings.map_file, OccupancyGrid.from_ros)
+    if given.height_map is None:
+        grid = OccupancyGrid.from_ros(settings.map, datum=datum, **reading)
+        if grid.resolution < settings.resolution * ENOUGH:
+            grid = grid.resample(settings.resolution)
+    else:
+        options = arguments(given, Ground)
+        terrain = TerrainMap.from_ros(
+            settings.map,
+            given.height_map,
+            elevation_scale=given.elevation_scale,
+            datum=datum,
+            **reading,
+            **options,
+        )
+        if terrain.resolution < settings.resolution * ENOUGH:
+            terrain = terrain.resample(settings.resolution)
+        grid, ground = terrain.grid, terrain.ground
+    if settings.start is None:
+        open_ground = grid if ground is None else with_closed(grid, ground)
+        keep_out = build_keep_out(settings.keep_out, datum)
+        if keep_out is not None:
+            open_ground = open_ground.with_solid(keep_out.init(grid))
+        start = (*open_spot(open_ground, radius), 0.0)
+    else:
+        start = _local_pose(settings.start, datum)
+    goal = None if settings.goal is None else _local(settings.goal, datum)
+    prior = _prior_of(grid, settings)
+    return RunWorld(grid, start, prior, goal=goal, ground=ground, datum=datum)
+
+
+def _prior_of(grid: OccupancyGrid, settings: Settings) -> OccupancyGrid | None:
+    """Return a true map as the robot knows it in advance; None if it does not."""
+    return grid if settings.is_map_known else None
+
+
+def _local(position: tuple[float, ...], datum: Datum) -> tuple[float, ...]:
+    return tuple(datum.to_local(position).tolist())
+
+
+def _local_pose(pose: tuple[float, float, float], datum: Datum) -> tuple[float, float, float]:
+    x, y, yaw = _local(pose, datum)
+    return x, y, yaw

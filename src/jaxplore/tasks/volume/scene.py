@@ -1,0 +1,100 @@
+"""The picture of an exploration of a volume in the browser, which can be turned."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxplore.report.drawing.colours import FREE, TARGET, blend
+from jaxplore.report.drawing.palette import PLAN, ROBOT, TRAIL, Colour
+from jaxplore.report.volume.data import VolumeData, VolumeFrame
+from jaxplore.report.volume.space import height_colours, surface
+from jaxplore.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    import viser
+
+
+class VolumeScene(Scene):
+    """The voxels that the robot has found to be occupied, its trail and its plan, in space."""
+
+    layers = ("voxels", "plan", "trail", "targets")
+
+    def __init__(self, server: "viser.ViserServer", recording: VolumeData) -> None:
+        super().__init__(server)
+        self._recording = recording
+        self._drawn: np.ndarray | None = None
+        shape = np.array(recording.world.shape[::-1])
+        self._low = np.asarray(recording.origin, np.float64)
+        self._high = self._low + shape * recording.resolution
+        # From obliquely above, so that heights can be seen.
+        middle, size = 0.5 * (self._low + self._high), float((self._high - self._low).max())
+        server.initial_camera.look_at = middle
+        server.initial_camera.position = middle + size * np.array([-0.35, -0.8, 0.8])
+
+    def draw(self, frame: VolumeFrame, trail: np.ndarray) -> None:
+        """Draw a frame."""
+        if self._drawn is None or not np.array_equal(self._drawn, frame.voxels):
+            self._draw_voxels(frame)
+        self._line("trail", trail, TRAIL, 2.0)
+        self._line("plan", frame.plan, PLAN, 4.0)
+        self._draw_targets(frame)
+        self._draw_robot(frame)
+
+    def clear(self) -> None:
+        """Remove everything that was drawn."""
+        super().clear()
+        self._drawn = None
+
+    def _draw_voxels(self, frame: VolumeFrame) -> None:
+        self._drawn = np.array(frame.voxels)
+        side = self._recording.resolution
+        voxels = surface(frame.find_occupied(self._recording.world.shape))
+        points = self._low + (voxels[:, ::-1] + 0.5) * side
+        if "voxels" in self._nodes:
+            self._nodes.pop("voxels").remove()
+        if len(points):
+            self._nodes["voxels"] = self._server.scene.add_point_cloud(
+                "/voxels",
+                points.astype(np.float32),
+                height_colours(points[:, 2], self._low[2], self._high[2]),
+                point_size=side,
+                point_shape="square",
+                precision="float32",
+                visible=self._is_shown("voxels"),
+            )
+
+    def _draw_targets(self, frame: VolumeFrame) -> None:
+        """Draw the targets, pale once they were seen."""
+        if "targets" in self._nodes:
+            self._nodes.pop("targets").remove()
+        places = np.asarray(self._recording.targets, np.float32)
+        if not len(places):
+            return
+        pale = np.array(blend(TARGET, FREE, 0.35), np.uint8)
+        shades = np.where(np.asarray(frame.is_found)[:, None], pale, np.array(TARGET, np.uint8))
+        self._nodes["targets"] = self._server.scene.add_point_cloud(
+            "/targets",
+            places,
+            shades.astype(np.uint8),
+            point_size=2.0 * self._recording.robot_radius,
+            point_shape="circle",
+            precision="float32",
+            visible=self._is_shown("targets"),
+        )
+
+    def _draw_robot(self, frame: VolumeFrame) -> None:
+        names = self._recording.state_names
+        x, y, z = (float(frame.state[names.index(name)]) for name in "xyz")
+        if not np.isfinite([x, y, z]).all():
+            return
+        if "robot" not in self._nodes:
+            self._nodes["robot"] = self._server.scene.add_icosphere(
+                "/robot", radius=self._recording.robot_radius, color=ROBOT[:3]
+            )
+        self._nodes["robot"].position = (x, y, -z)
+
+    def _line(self, name: str, points: np.ndarray, colour: Colour, thickness: float) -> None:
+        """Draw a line through points (N, 3) [m]."""
+        if len(points) > 1 and np.isfinite(points).all():
+            pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+            self.lines(name, pieces, colour, thickness)

@@ -1,0 +1,1 @@
+"""Topics of a recording for Foxglove: its messages, and what all tasks write."""
