@@ -8,17 +8,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests import kinds
 
 from jaxplore import Lidar, Perception, Unicycle, explorer
 from jaxplore.control.fleet_controller import FleetController, same_for_all
 from jaxplore.control.guard import MotionGuard
+from jaxplore.control.stops import LOST
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.parts import IdlenessMap, KeepOut
 from jaxplore.report.compute import Timing
+from jaxplore.report.exploration.guard import guard_metrics
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.radio import NEVER, Radio
 from jaxplore.simulation.fleet.scenario import Fleet
 from jaxplore.simulation.fleet.starts import near_starts
@@ -32,13 +36,21 @@ FAR, NEAR = 100.0, 0.5
 TARGETS = ((2.8, 2.8), (5.5, 2.6))
 
 
-def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, fleet, run) -> None:
+def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) -> None:
+    """With a guard, which stops it when its odometry is lost for a while."""
+    faults = Faults(lost_odometry=(2.0, 2.3))
+    alone = eqx.tree_at(
+        lambda each: each.faults, alone, faults, is_leaf=lambda each: each is None
+    ).with_guard(MotionGuard())
     _, single = run(drive(has_others=False), alone, 70)
-    _, together = run(*fleet(STARTS[:1]), 70)
+    _, together = run(*kinds.fleet(alone, STARTS[:1]), 70)
     assert np.ptp(single.state[:, 0]) > 0.3
     for name in ("state", "control", "coverage", "effective_sample_size"):
         np.testing.assert_array_equal(getattr(single, name), getattr(together, name))
     np.testing.assert_array_equal(single.clearance, together.clearance[:, 0])
+    np.testing.assert_array_equal(single.stop, together.stop[:, 0])
+    assert (single.stop == LOST).sum() >= 6
+    assert guard_metrics(together.stop) == guard_metrics(single.stop)
     assert not together.is_contact.any()
     assert not together.sent.any()
 
@@ -49,6 +61,7 @@ def mixed(alone, drive, run):
 
     They are two differential drives, and between them a unicycle of another size with another
     lidar. They look for two targets, one in their room and one in the other, and keep watch.
+    Each has a guard.
     """
     robot = Unicycle(max_speed=0.8, radius=0.12)
     lidar = Lidar(num_beams=24, max_range=1.2)
@@ -59,7 +72,7 @@ def mixed(alone, drive, run):
     rates = {"control_rate": 20.0, "field_rate": 4.0}
     other = ExplorationScenario(
         alone.world, robot, lidar, STARTS[1], perception=perception, targets=TARGETS, **rates
-    )
+    ).with_guard(MotionGuard())
     alone = ExplorationScenario(
         alone.world,
         alone.robot,
@@ -68,7 +81,7 @@ def mixed(alone, drive, run):
         perception=Perception(alone.sensors, 0.1, alone.robot.radius, **numbers),
         targets=TARGETS,
         **rates,
-    )
+    ).with_guard(MotionGuard())
     one = drive(has_others=True)
     cost = MovingObstacleCost(nearness=None, clearance=0.6)
     two = explorer(
@@ -364,8 +377,6 @@ def test_starts_are_chosen_near_one_another_and_always_the_same(alone) -> None:
 
 
 def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
-    with pytest.raises(ValueError, match=r"guard of robots\[0\] is given"):
-        Fleet(alone.with_guard(MotionGuard()), STARTS[:2])
     walls = eqx.tree_at(lambda each: each.ends_by, alone, jnp.int32(2))
     with pytest.raises(ValueError, match=r"target of robots\[0\] is 'walls'; accepted in a fleet"):
         Fleet(walls, STARTS[:2])
@@ -380,8 +391,6 @@ def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
     controller, scenario = fleet()
     with pytest.raises(ValueError, match="controllers has 1 entries; accepted: 2"):
         FleetController(controller.controllers[:1], scenario.robot)
-    with pytest.raises(ValueError, match="guard is a MotionGuard; accepted for a fleet: None"):
-        scenario.with_guard(MotionGuard())
 
 
 def test_a_fleet_without_a_target_coverage_ends_at_its_own(alone) -> None:

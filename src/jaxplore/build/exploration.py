@@ -102,12 +102,11 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         },
         **arguments(settings.rates, ExplorationScenario),
     ).with_variation(build_variation(settings.variation))
-    has_guard = settings.guard and settings.fleet is None
     # A quadrotor's camera does not show where people come from: with the limit of speeds it lost
     # half of its way, and touched as many of them per metre.
     is_flying = "z" in robot.state_names
     occlusion = None if is_flying else build_occlusion_cost(settings, world)
-    return scenario.with_guard(MotionGuard(occlusion=occlusion) if has_guard else None)
+    return scenario.with_guard(MotionGuard(occlusion=occlusion) if settings.guard else None)
 
 
 def _choose_max_unknown(settings: Settings) -> float | None:

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from jaxplore.build.fleet import has_others
 from jaxplore.build.parts import build_keep_out
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.ros import map_datum
@@ -93,11 +94,11 @@ def _still_world(settings: Settings, radius: float) -> RunWorld:
 def expects_people(settings: Settings, world: RunWorld) -> bool:
     """Check whether the robot looks out for people: see `PeopleSettings`.
 
-    A robot of a fleet, or on a known ground, is told of what moves.
+    A robot among others of a fleet, or on a known ground, is told of what moves.
     """
     given = settings.people.are_expected
     expected = bool(world.movers) if given is None else given
-    return expected and settings.fleet is None and world.ground is None
+    return expected and not has_others(settings) and world.ground is None
 
 
 def is_ros_map(settings: Settings) -> bool:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.maps.datum import move_points
@@ -40,6 +40,8 @@ class FleetRecord(NamedTuple):
             chassis, as are the two below.
         wheel_travel: (N,) how far the ground moves a wheel, likewise.
         is_tipped: (N,) whether each vehicle has tipped over.
+        stop: (N,) why the guard of each robot stopped it in the step, an index into
+            `control.stops.REASONS`; 0 if it did not, None without guards.
     """
 
     state: StateVector
@@ -60,6 +62,7 @@ class FleetRecord(NamedTuple):
     load_transfer: Float[Array, " N"] | None = None
     wheel_travel: Float[Array, " N"] | None = None
     is_tipped: Bool[Array, " N"] | None = None
+    stop: Int[Array, " N"] | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxplore.report._numbers import finite, percent, text
 from jaxplore.report.coverage_levels import LEVELS, describe_levels, reach_levels
+from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics, guard_metrics
 from jaxplore.report.exploration.mission_metrics import (
     MISSION_COLUMNS,
     MISSION_CURVES,
@@ -22,7 +23,7 @@ from jaxplore.report.motion import episodes
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FleetMetrics(MissionMetrics, WheelMetrics):
+class FleetMetrics(MissionMetrics, WheelMetrics, GuardMetrics):
     """Metrics of an exploration by a fleet.
 
     Args:
@@ -84,6 +85,7 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
         ),
         *WHEEL_COLUMNS,
+        GUARD_COLUMN,
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("exchanged", "exchanged [MB]", digits=2, scale=1e-6),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
@@ -115,6 +117,7 @@ class FleetMetrics(MissionMetrics, WheelMetrics):
                 else []
             ),
             *self.wheel_rows(),
+            *self.guard_rows(),
             ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
             ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
             *self.last_rows(),
@@ -158,6 +161,7 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
         **mission_metrics(data),
         **wheel_metrics(records, period),
+        **guard_metrics(records.stop),
         is_map_known=is_known_map(data),
         least_coverage=float(data.coverages[:, -1].min()),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,

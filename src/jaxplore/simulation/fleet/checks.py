@@ -45,10 +45,12 @@ def check_members(
                 f"targets of robots[{index}] differ; accepted: those of robots[0], for which all "
                 "robots look"
             )
-        if (each.chassis is None) != (first.chassis is None):
-            raise ValueError(
-                f"chassis of robots[{index}] differs; accepted: as robots[0], with one or without"
-            )
+        for name in ("chassis", "guard"):
+            if (getattr(each, name) is None) != (getattr(first, name) is None):
+                raise ValueError(
+                    f"{name} of robots[{index}] differs; accepted: as robots[0], with one or "
+                    "without"
+                )
         names = [[part.name for part in one.perception.parts] for one in (each, first)]
         if names[0] != names[1]:
             raise ValueError(
@@ -68,7 +70,6 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
     perception = one.perception
     parts = {
         "goal": one.goal,
-        "guard": one.guard,
         "variation": one.variation,
         "localisation": one.localisation,
         "faults.carried_at": None if one.faults is None else one.faults.carried_at,

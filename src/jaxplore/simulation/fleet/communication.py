@@ -162,7 +162,7 @@ class Talk(NamedTuple):
         # is due then, and the next update of fields reads the merged map.
         is_due = moment.step % every == jnp.maximum(every - 2, 0)
         team = state.team
-        observed = self.robot.split_state(moment.observed)
+        observed = self.robot.split_state(known_states(moment))
         poses = [one.robot.pose(each) for one, each in zip(self.members, observed, strict=True)]
 
         def meet(given: Any) -> Any:
@@ -194,7 +194,7 @@ class Talk(NamedTuple):
     def tell_when_due(self, state: FleetState, team: Team, moment: Moment) -> FleetState:
         """Let the robots tell their positions, velocities and plans after each scan, and count what
         they know together."""
-        observed = self.robot.split_state(moment.observed)
+        observed = self.robot.split_state(known_states(moment))
         places = jnp.stack(
             [one.robot.position(each) for one, each in zip(self.members, observed, strict=True)]
         )
@@ -276,3 +276,10 @@ class Talk(NamedTuple):
 
         plans = jax.lax.cond(is_due, plan, lambda same: same, team.plans)
         return team._replace(plans=plans, velocities=change / self.members[0].control_period)
+
+
+def known_states(moment: Moment) -> StateVector:
+    """Return the states (nx,) in which the robots take themselves to be, which they tell."""
+    # A guard that does not trust what its robot observes still expects it somewhere.
+    states: StateVector = moment.observed if moment.guard is None else moment.guard.expected
+    return states

@@ -18,6 +18,7 @@ from jaxplore.belief.gain import Gain
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.fleet_controller import FleetBelief, robot_keys
 from jaxplore.control.fleet_share import Share, check_share
+from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.dynamics.formation import Formation, extent
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord, move_records
 from jaxplore.report.fleet.metrics import FleetMetrics
@@ -32,6 +33,7 @@ from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
 from jaxplore.simulation.fleet.communication import Talk
 from jaxplore.simulation.fleet.contact import stop_touching
+from jaxplore.simulation.fleet.driver import FleetDriver
 from jaxplore.simulation.fleet.motion import moves, stack_wheels
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
@@ -73,8 +75,8 @@ class Fleet(Scenario):
 
     Args:
         robots: exploration of each robot, in one world; or that of one robot, for a fleet of equal
-            ones. Without a target coverage they have 0.99. They have no goal or guard, and all have
-            the same parts, and a chassis or none.
+            ones. Without a target coverage they have 0.99. They have no goal, and all have the same
+            parts, a guard or none, and a chassis or none.
         starts: (N, 3) start pose (x, y, yaw) of each robot [m, m, rad], at rest; those of the
             explorations when absent.
         radio: who hears whom; `Radio()` when absent.
@@ -244,8 +246,7 @@ class Fleet(Scenario):
         members = here.perceive(
             state.members,
             self._talk.discs(state),
-            own(self.robot.split_state(moment.observed)),
-            moment,
+            self._own_moments(moment),
             own(robot_keys(key, self.identity)),
         )
         known = state._replace(members=members)
@@ -261,6 +262,31 @@ class Fleet(Scenario):
             known = self._talk.tell_when_due(known, known.team, moment)
         known = known._replace(gain=state.gain.update(known.coverage, self.control_period))
         return known, self._belief(known)
+
+    def driver(self, controller: Controller | None = None) -> FleetDriver:
+        """Return what decides the commands of all robots; see `Scenario.driver`."""
+        return FleetDriver(self.explorations, self.share, self.robot, controller)
+
+    def scan_points(
+        self, state: FleetState, moment: Moment | None = None
+    ) -> tuple[ScanPoints, ...]:
+        """Return the newest scan of each robot that this process computes."""
+        own = self.share.select(self.members)
+        return tuple(
+            one.scan_points(each, moment) for one, each in zip(own, state.members, strict=True)
+        )
+
+    def _own_moments(self, moment: Moment) -> tuple[Moment, ...]:
+        """Return the moment of each robot that this process computes."""
+        states = self.share.select(self.robot.split_state(moment.observed))
+        own = tuple(moment._replace(observed=each) for each in states)
+        if moment.measured is None or moment.guard is None:
+            return own
+        measured = self.share.select(self.robot.split_state(moment.measured))
+        return tuple(
+            each._replace(measured=state, guard=judged)
+            for each, state, judged in zip(own, measured, moment.guard.robots, strict=True)
+        )
 
     def advance(
         self, state: FleetState, control: ControlVector, moment: Moment, info: Info
@@ -310,6 +336,7 @@ class Fleet(Scenario):
             targets_seen=self._count_seen(state),
             mean_idleness=None if state.idleness is None else state.idleness[0],
             worst_idleness=None if state.idleness is None else state.idleness[1],
+            stop=moment.stop,
             **stack_wheels(records),
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
@@ -356,13 +383,14 @@ class Fleet(Scenario):
         """
         return self._without_part("variation", variation)
 
-    def with_guard(self, guard: Any) -> "Fleet":
-        """Return the scenario itself: the robots of a fleet have no guard.
+    def with_guard(self, guard: MotionGuard | None) -> "Fleet":
+        """Return the scenario with a guard for each robot.
 
-        Raises:
-            ValueError: a guard.
+        Args:
+            guard: the guard of each robot; None for none.
         """
-        return self._without_part("guard", guard)
+        guarded = self.explorations.map(lambda each: each.with_guard(guard))
+        return with_field(self, "explorations", guarded)
 
     def _without_part(self, name: str, part: Any) -> "Fleet":
         if part is not None:

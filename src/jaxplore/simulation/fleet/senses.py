@@ -41,28 +41,24 @@ class TeamSenses(NamedTuple):
         self,
         members: Sequence[ExplorationState],
         discs: MovingDiscs | None,
-        observed: Sequence[Array],
-        moment: Moment,
+        moments: Sequence[Moment],
         keys: Sequence[Key],
     ) -> tuple[ExplorationState, ...]:
         """Let each robot scan, track the others and derive its fields.
 
-        `discs` are all robots; None for a robot alone. `observed` is the state (n,) that each robot
-        observes; the one in `moment` is not read.
+        `discs` are all robots; None for a robot alone. `moments` are those of each robot.
         """
-        scenarios = self.explorations.all
+        scenarios, moment = self.explorations.all, moments[0]
         if discs is None:
-            own = moment._replace(observed=observed[0])
-            return (scenarios[0].perceive(members[0], own, keys[0])[0],)
+            return (scenarios[0].perceive(members[0], moment, keys[0])[0],)
         around = [
             jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs)
             for i in self.places
         ]
         scanned = []
-        for one, each, beside, seen, key in zip(
-            scenarios, members, around, observed, keys, strict=True
+        for one, each, beside, own, key in zip(
+            scenarios, members, around, moments, keys, strict=True
         ):
-            own = moment._replace(observed=seen)
             truth = _among(one.true_world(each, own), each.moving_obstacles, beside)
             scanned.append(one.sense(each, truth, own, key, is_told=False))
         rates = scenarios[0].rates
