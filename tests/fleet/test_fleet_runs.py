@@ -28,20 +28,25 @@ from jaxplore.simulation.fleet.scenario import Fleet
 from jaxplore.simulation.fleet.starts import near_starts
 from jaxplore.simulation.loop import initial_loop_state, moment_at, run_chunk
 from jaxplore.simulation.run import Run
+from jaxplore.simulation.variation import Variation
 
 pytestmark = pytest.mark.long
 
 STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4), (1.9, 1.5, 0.1))
 FAR, NEAR = 100.0, 0.5
+VARIATION = Variation(
+    gain=(0.7, 0.9), control_delay=(0, 2), control_noise=(0.0, 0.1), position_noise=(0.0, 0.01)
+)
 TARGETS = ((2.8, 2.8), (5.5, 2.6))
 
 
 def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) -> None:
-    """With a guard, which stops it when its odometry is lost for a while."""
+    """With a guard, which stops it when its odometry is lost for a while, and other motors."""
     faults = Faults(lost_odometry=(2.0, 2.3))
     alone = eqx.tree_at(
         lambda each: each.faults, alone, faults, is_leaf=lambda each: each is None
     ).with_guard(MotionGuard())
+    alone = alone.with_variation(VARIATION)
     _, single = run(drive(has_others=False), alone, 70)
     _, together = run(*kinds.fleet(alone, STARTS[:1]), 70)
     assert np.ptp(single.state[:, 0]) > 0.3
@@ -61,7 +66,7 @@ def mixed(alone, drive, run):
 
     They are two differential drives, and between them a unicycle of another size with another
     lidar. They look for two targets, one in their room and one in the other, and keep watch.
-    Each has a guard.
+    Each has a guard, and the unicycle and one drive differ from their models.
     """
     robot = Unicycle(max_speed=0.8, radius=0.12)
     lidar = Lidar(num_beams=24, max_range=1.2)
@@ -73,6 +78,7 @@ def mixed(alone, drive, run):
     other = ExplorationScenario(
         alone.world, robot, lidar, STARTS[1], perception=perception, targets=TARGETS, **rates
     ).with_guard(MotionGuard())
+    other = other.with_variation(VARIATION)
     alone = ExplorationScenario(
         alone.world,
         alone.robot,

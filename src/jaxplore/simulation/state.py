@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 from jaxtyping import Array, Float
 
 from jaxplore._types import Count, Flag, Scalar, StateVector
-from jaxplore.simulation.variation import Drawn
 
 
 class Moment(NamedTuple):
@@ -42,8 +41,8 @@ class LoopState(NamedTuple):
 
     `task` is the state of the task, see `Scenario`. `observed` (nx,) is the state that the
     controller observed last. `pending` (D, nu) are the commands that have not taken effect yet,
-    oldest first. `drawn` is the variation of the episode; None if the robot does not vary. `guard`
-    is the state of the guard, or those of a fleet; None without one.
+    oldest first. `drawn` is the variation of the episode, of a fleet that of each robot; None if no
+    robot varies. `guard` is the state of the guard, or those of a fleet; None without one.
     """
 
     task: Any
@@ -51,5 +50,5 @@ class LoopState(NamedTuple):
     step: Count
     observed: StateVector
     pending: Float[Array, "D nu"]
-    drawn: Drawn | None = None
+    drawn: Any = None
     guard: Any = None

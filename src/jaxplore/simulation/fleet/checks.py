@@ -70,7 +70,6 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
     perception = one.perception
     parts = {
         "goal": one.goal,
-        "variation": one.variation,
         "localisation": one.localisation,
         "faults.carried_at": None if one.faults is None else one.faults.carried_at,
     }

@@ -261,18 +261,22 @@ class Talk(NamedTuple):
         self,
         team: Team,
         before: StateVector,
-        moved: Sequence[Array],
+        after: StateVector,
         step: Count,
         info: Info,
     ) -> Team:
-        """Return the velocities of the step, and before a scan the plans that will be told."""
-        joint = jnp.concatenate(list(moved))
-        change = self.robot.positions(joint) - self.robot.positions(before)
+        """Return the velocities of the step, and before a scan the plans that will be told.
+
+        The states (nx,) before and after the step are those in which the robots take themselves to
+        be.
+        """
+        change = self.robot.positions(after) - self.robot.positions(before)
         is_due = (step + 1) % self.members[0].steps_per_scan == 0
 
         def plan(_: Array) -> Array:
             size = self.plan_length + 1
-            return predict_positions(self.robot, moved, info.controls, size, self.plan_step)
+            states = self.robot.split_state(after)
+            return predict_positions(self.robot, states, info.controls, size, self.plan_step)
 
         plans = jax.lax.cond(is_due, plan, lambda same: same, team.plans)
         return team._replace(plans=plans, velocities=change / self.members[0].control_period)

@@ -25,14 +25,16 @@ from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.disturbances import Disturbances
 from jaxplore.simulation.exploration.finish import NEVER, TARGETS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
-from jaxplore.simulation.fleet.communication import Talk
+from jaxplore.simulation.fleet.communication import Talk, known_states
 from jaxplore.simulation.fleet.contact import stop_touching
+from jaxplore.simulation.fleet.disturbances import FleetDisturbances
 from jaxplore.simulation.fleet.driver import FleetDriver
 from jaxplore.simulation.fleet.motion import moves, stack_wheels
 from jaxplore.simulation.fleet.radio import Radio
@@ -42,6 +44,7 @@ from jaxplore.simulation.fleet.starts import check_starts
 from jaxplore.simulation.fleet.state import FleetState
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
+from jaxplore.simulation.variation import Variation
 
 COORDINATIONS = ("claims", "assignment", "none")
 """Ways in which the robots of a fleet divide the places among themselves."""
@@ -267,6 +270,17 @@ class Fleet(Scenario):
         """Return what decides the commands of all robots; see `Scenario.driver`."""
         return FleetDriver(self.explorations, self.share, self.robot, controller)
 
+    @property
+    def disturbances(self) -> FleetDisturbances:
+        """What each true robot differs by from its model, and what fails."""
+        robots = tuple(Disturbances(None, each.variation) for each in self.members)
+        return FleetDisturbances(self._model, robots, self.faults, self.identity)
+
+    @property
+    def _model(self) -> Formation:
+        """Models of the robots, by which they plan; `robot` may be others that are true."""
+        return Formation([each.robot for each in self.members])
+
     def scan_points(
         self, state: FleetState, moment: Moment | None = None
     ) -> tuple[ScanPoints, ...]:
@@ -298,7 +312,8 @@ class Fleet(Scenario):
         """
         before = self.robot.split_state(state.robot)
         controls = self.robot.split_control(control)
-        found = moves(self.members, self.share, state.members, before, controls, moment, info)
+        pairs = tuple(zip(self.members, self.robot.robots, strict=True))
+        found = moves(pairs, self.share, state.members, before, controls, moment, info)
         records, wheels = zip(*found, strict=True)
         moved = [each.state for each in records]
         clearance = jnp.stack([each.clearance for each in records])
@@ -310,7 +325,12 @@ class Fleet(Scenario):
             moved, contact = list(apart.states), apart.is_contact
             clearance = jnp.minimum(clearance, apart.gap)
             sent, links, coverages = team.sent, team.links, team.coverages
-            team = self._talk.update_plans(team, state.robot, moved, moment.step, info)
+            states = state.robot, jnp.concatenate(moved)
+            if self._varies:
+                # The robots measure with noise, and know no more of the step than their models.
+                here = known_states(moment)
+                states = here, self._model.step(here, control, self.control_period)
+            team = self._talk.update_plans(team, *states, moment.step, info)
         members = tuple(
             each.after_step(robot, given)._replace(wheels=after)
             for each, robot, given, after in zip(
@@ -375,13 +395,17 @@ class Fleet(Scenario):
         same: Fleet = eqx.tree_at(lambda at: at.explorations, self, batched)
         return same
 
-    def with_variation(self, variation: Any) -> "Fleet":
-        """Return the scenario itself: the robots of a fleet do not vary.
+    def with_variation(self, variation: Variation | None) -> "Fleet":
+        """Return the scenario with robots that vary from episode to episode, each by its own draw.
+
+        Args:
+            variation: distributions of each true robot; None for none.
 
         Raises:
-            ValueError: a variation.
+            ValueError: a variation of parameters that a robot does not have.
         """
-        return self._without_part("variation", variation)
+        varied = self.explorations.map(lambda each: each.with_variation(variation))
+        return with_field(self, "explorations", varied)
 
     def with_guard(self, guard: MotionGuard | None) -> "Fleet":
         """Return the scenario with a guard for each robot.
@@ -391,11 +415,6 @@ class Fleet(Scenario):
         """
         guarded = self.explorations.map(lambda each: each.with_guard(guard))
         return with_field(self, "explorations", guarded)
-
-    def _without_part(self, name: str, part: Any) -> "Fleet":
-        if part is not None:
-            raise ValueError(f"{name} is a {type(part).__name__}; accepted for a fleet: None")
-        return self
 
     def frame(
         self, state: FleetState, moment: Moment, inspect: Inspect | None, key: Key
@@ -439,10 +458,15 @@ class Fleet(Scenario):
         return move_records(records, self.datum.offset, self.robot.state_names)
 
     @property
+    def _varies(self) -> bool:
+        """Whether any true robot differs from its model."""
+        return any(each.variation is not None for each in self.explorations.kinds)
+
+    @property
     def _talk(self) -> Talk:
         """How the robots tell one another what they know."""
         return Talk(
-            self.robot,
+            self._model,
             self.explorations,
             self.share,
             self.identity,
