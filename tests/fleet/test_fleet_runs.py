@@ -15,11 +15,13 @@ from jaxplore.control.fleet_controller import FleetController, same_for_all
 from jaxplore.control.guard import MotionGuard
 from jaxplore.control.stops import LOST
 from jaxplore.costs.moving import MovingObstacleCost
+from jaxplore.localisation import Localiser, Odometry
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.parts import IdlenessMap, KeepOut
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.guard import guard_metrics
 from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.robot.localisation import Localisation
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.faults import Faults
@@ -37,14 +39,25 @@ FAR, NEAR = 100.0, 0.5
 VARIATION = Variation(
     gain=(0.7, 0.9), control_delay=(0, 2), control_noise=(0.0, 0.1), position_noise=(0.0, 0.01)
 )
+LOCALISATION = Localisation(Odometry(turn_noise=0.05), Localiser(capacity=64))
 TARGETS = ((2.8, 2.8), (5.5, 2.6))
 
 
 def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) -> None:
-    """With a guard, which stops it when its odometry is lost for a while, and other motors."""
-    faults = Faults(lost_odometry=(2.0, 2.3))
-    alone = eqx.tree_at(
-        lambda each: each.faults, alone, faults, is_leaf=lambda each: each is None
+    """It finds its pose, has other motors, and a guard stops it while its odometry is lost."""
+    alone = ExplorationScenario(
+        alone.world,
+        alone.robot,
+        alone.sensors,
+        STARTS[0],
+        perception=Perception(
+            alone.sensors, 0.1, 0.15, num_directions=4, max_clearance=0.5, is_localising=True
+        ),
+        control_rate=20.0,
+        field_rate=4.0,
+        localisation=LOCALISATION,
+        target_coverage=0.99,
+        faults=Faults(lost_odometry=(2.0, 2.3)),
     ).with_guard(MotionGuard())
     alone = alone.with_variation(VARIATION)
     _, single = run(drive(has_others=False), alone, 70)
@@ -54,6 +67,8 @@ def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) ->
         np.testing.assert_array_equal(getattr(single, name), getattr(together, name))
     np.testing.assert_array_equal(single.clearance, together.clearance[:, 0])
     np.testing.assert_array_equal(single.stop, together.stop[:, 0])
+    np.testing.assert_array_equal(single.pose_error, together.pose_error[:, 0])
+    assert single.pose_error.max() > 1e-3
     assert (single.stop == LOST).sum() >= 6
     assert guard_metrics(together.stop) == guard_metrics(single.stop)
     assert not together.is_contact.any()
@@ -66,15 +81,15 @@ def mixed(alone, drive, run):
 
     They are two differential drives, and between them a unicycle of another size with another
     lidar. They look for two targets, one in their room and one in the other, and keep watch.
-    Each has a guard, and the unicycle and one drive differ from their models.
+    Each finds its pose and has a guard, and the unicycle differs from its model.
     """
     robot = Unicycle(max_speed=0.8, radius=0.12)
     lidar = Lidar(num_beams=24, max_range=1.2)
     area = [(5.2, 0.3), (5.6, 0.3), (5.6, 0.7), (5.2, 0.7)]
-    numbers = {"num_directions": 4, "max_clearance": 0.5}
+    numbers = {"num_directions": 4, "max_clearance": 0.5, "is_localising": True}
     numbers["parts"] = [IdlenessMap(20.0), KeepOut([area])]
     perception = Perception(lidar, 0.1, 0.12, **numbers)
-    rates = {"control_rate": 20.0, "field_rate": 4.0}
+    rates = {"control_rate": 20.0, "field_rate": 4.0, "localisation": LOCALISATION}
     other = ExplorationScenario(
         alone.world, robot, lidar, STARTS[1], perception=perception, targets=TARGETS, **rates
     ).with_guard(MotionGuard())

@@ -2,12 +2,14 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
 from jaxplore.report._numbers import finite, percent, text
 from jaxplore.report.coverage_levels import LEVELS, describe_levels, reach_levels
 from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics, guard_metrics
+from jaxplore.report.exploration.localisation import trajectory_errors
 from jaxplore.report.exploration.mission_metrics import (
     MISSION_COLUMNS,
     MISSION_CURVES,
@@ -44,6 +46,11 @@ class FleetMetrics(MissionMetrics, WheelMetrics, GuardMetrics):
         minimum_clearance: least distance from a robot's edge to a solid cell or another robot [m].
         exchanged: size of all messages with maps and ways [bytes].
         linked: share of the pairs of robots that heard each other, mean over the steps.
+        ates: absolute trajectory error of each robot (N,), as `ExplorationMetrics.ate` [m]; empty
+            if the robots knew their poses, as is the one below.
+        odometry_ates: the same error of its odometry alone (N,) [m].
+        ate: the greatest of the `ates` [m]; None if the robots knew their poses.
+        num_loops: number of loops that all robots closed; None on a known map.
         is_map_known: whether the map was known in advance, so that coverage says nothing.
         least_coverage: coverage of the map of the robot that knows the least at the end.
         mean_effective_sample_size: mean effective sample size.
@@ -69,6 +76,10 @@ class FleetMetrics(MissionMetrics, WheelMetrics, GuardMetrics):
     least_coverage: float
     mean_effective_sample_size: float | None
     coverage_curve: dict[str, list[float | None]]
+    ates: tuple[float | None, ...] = ()
+    odometry_ates: tuple[float | None, ...] = ()
+    ate: float | None = None
+    num_loops: int | None = None
 
     columns = (
         Column.num_finished(),
@@ -86,6 +97,13 @@ class FleetMetrics(MissionMetrics, WheelMetrics, GuardMetrics):
         ),
         *WHEEL_COLUMNS,
         GUARD_COLUMN,
+        Column.quartiles(
+            "ate",
+            "trajectory error [m]",
+            digits=3,
+            missing=math.nan,
+            applies=lambda spread: math.isfinite(spread[1]),
+        ),
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("exchanged", "exchanged [MB]", digits=2, scale=1e-6),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
@@ -118,10 +136,22 @@ class FleetMetrics(MissionMetrics, WheelMetrics, GuardMetrics):
             ),
             *self.wheel_rows(),
             *self.guard_rows(),
+            *self._localisation_rows(),
             ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
             ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
             *self.last_rows(),
         ]
+
+    def _localisation_rows(self) -> list[tuple[str, str]]:
+        if not self.ates:
+            return []
+        rows = [
+            ("trajectory error", f"{', '.join(text(each, 3) for each in self.ates)} m"),
+            ("  of odometry", f"{', '.join(text(each, 2) for each in self.odometry_ates)} m"),
+        ]
+        if self.num_loops is not None:
+            rows.append(("loops", f"{self.num_loops} closed"))
+        return rows
 
     def _coverage_rows(self) -> list[tuple[str, str]]:
         if self.is_map_known:
@@ -162,8 +192,26 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         **mission_metrics(data),
         **wheel_metrics(records, period),
         **guard_metrics(records.stop),
+        **_localisation_metrics(data),
         is_map_known=is_known_map(data),
         least_coverage=float(data.coverages[:, -1].min()),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
         coverage_curve=thin_series({**curve, **mission_curves(data), **robots}, period),
     )
+
+
+def _localisation_metrics(data: FleetData) -> dict[str, Any]:
+    """Return the metrics of the localisation of all robots; nothing if they knew their poses."""
+    if data.localisation is None:
+        return {}
+    errors = [trajectory_errors(each) for each in data.localisation if len(each.poses)]
+    if not errors:
+        return {}
+    ates = tuple(each["ate"] for each in errors)
+    loops = [each.num_loops for each in data.localisation if each.num_loops is not None]
+    return {
+        "ates": ates,
+        "odometry_ates": tuple(each["odometry_ate"] for each in errors),
+        "ate": max(each for each in ates if each is not None),
+        "num_loops": sum(loops) if loops else None,
+    }

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -468,25 +468,36 @@ class ExplorationScenario(Scenario):
 
     def update_on_host(self, state: LoopState) -> LoopState:
         """Return the state with the map moved where a loop was closed."""
-        task: ExplorationState = state.task
+        task, guard = self.close_loops(state.task), state.guard
+        moved = self.correction(state.task, task)
+        if guard is not None:
+            # The correction is no jump of the robot.
+            guard = guard._replace(expected=moved(guard.expected))
+        return state._replace(task=task, observed=moved(state.observed), guard=guard)
+
+    def close_loops(self, task: ExplorationState) -> ExplorationState:
+        """Return the state of the task with the map moved where a loop was closed, on the host."""
         before, track = task.own.place, task.judged.track
         if self.localisation is None or before is None or track is None:
-            return state
+            return task
         place, belief = self.localisation.close_loops(
             *(before, task.belief, self.perception, self.map_arrays.prior),
             self.robot.pose(self.start),
         )
         if int(place.known.scans.number) < int(before.known.scans.number):
             track = thin(track)
-        poses = before.known.pose, place.known.pose
-        moved = functools.partial(correct_state, self.robot, before=poses[0], after=poses[1])
-        guard = state.guard
-        if guard is not None:
-            # The correction is no jump of the robot.
-            guard = guard._replace(expected=moved(guard.expected))
         own = task.own._replace(place=place, belief=belief)
-        task = task._replace(own=own, judged=task.judged._replace(track=track))
-        return state._replace(task=task, observed=moved(state.observed), guard=guard)
+        return task._replace(own=own, judged=task.judged._replace(track=track))
+
+    def correction(
+        self, before: ExplorationState, after: ExplorationState
+    ) -> Callable[[StateVector], StateVector]:
+        """Return the function that moves a state (nx,) as `close_loops` has moved the robot."""
+        places = before.own.place, after.own.place
+        if places[0] is None or places[1] is None:
+            return lambda state: state
+        poses = places[0].known.pose, places[1].known.pose
+        return functools.partial(correct_state, self.robot, before=poses[0], after=poses[1])
 
     def perceive(
         self, state: ExplorationState, moment: Moment, key: Key
@@ -598,26 +609,31 @@ class ExplorationScenario(Scenario):
             stop=moment.stop,
             chassis=self.chassis,
         )
-        own, odometer, judged = state.own, state.odometer, state.judged
-        if self.localisation is not None and own.place is not None and odometer is not None:
-            poses = self.robot.pose(state.robot), self.robot.pose(record.state)
-            increment, odometer = odometer.measure(
-                self.localisation.odometry, *poses, moment.step, self.control_period
-            )
-            place = self.localisation.predict(own.place, increment, self.control_period)
-            own = own._replace(place=place)
-            if judged.track is not None:
-                judged = judged._replace(track=judged.track.add_motion(increment))
+        state = self.follow_odometry(state, record.state, moment.step)
         if self.faults is not None and state.landing is not None:
             # After the odometry has measured the step: it does not notice.
             is_carried = self.faults.is_carried(moment.time, self.control_period)
             record = carry(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
-        state = state.after_step(record.state, control)._replace(
-            own=own, judged=judged, motion=motion, wheels=wheels, odometer=odometer
-        )
+        state = state.after_step(record.state, control)._replace(motion=motion, wheels=wheels)
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+
+    def follow_odometry(
+        self, state: ExplorationState, after: StateVector, step: Count
+    ) -> ExplorationState:
+        """Return what a robot that finds its pose knows after a step to a true state (nx,)."""
+        own, odometer, judged = state.own, state.odometer, state.judged
+        if self.localisation is None or own.place is None or odometer is None:
+            return state
+        poses = self.robot.pose(state.robot), self.robot.pose(after)
+        increment, odometer = odometer.measure(
+            self.localisation.odometry, *poses, step, self.control_period
+        )
+        place = self.localisation.predict(own.place, increment, self.control_period)
+        if judged.track is not None:
+            judged = judged._replace(track=judged.track.add_motion(increment))
+        return state._replace(own=own._replace(place=place), judged=judged, odometer=odometer)
 
     def is_unfinished(self, state: ExplorationState) -> Flag:
         """Check whether the loop continues: until the task is given up or finished, plus the hover

@@ -45,7 +45,7 @@ def check_members(
                 f"targets of robots[{index}] differ; accepted: those of robots[0], for which all "
                 "robots look"
             )
-        for name in ("chassis", "guard"):
+        for name in ("chassis", "guard", "localisation"):
             if (getattr(each, name) is None) != (getattr(first, name) is None):
                 raise ValueError(
                     f"{name} of robots[{index}] differs; accepted: as robots[0], with one or "
@@ -70,7 +70,6 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
     perception = one.perception
     parts = {
         "goal": one.goal,
-        "localisation": one.localisation,
         "faults.carried_at": None if one.faults is None else one.faults.carried_at,
     }
     for name, part in parts.items():

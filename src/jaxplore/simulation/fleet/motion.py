@@ -58,9 +58,9 @@ def moves(
     return records
 
 
-def stack_wheels(records: Sequence[ExplorationRecord]) -> dict[str, Array]:
-    """Return the fields of the wheels (N,) of a `FleetRecord`; none without a chassis."""
-    names = ("load_transfer", "wheel_travel", "is_tipped")
-    if records[0].is_tipped is None:
-        return {}
-    return {name: jnp.stack([getattr(each, name) for each in records]) for name in names}
+def stack_fields(records: Sequence[ExplorationRecord]) -> dict[str, Array]:
+    """Return the fields (N,) of a `FleetRecord` that robots with wheels have, or that find their
+    pose."""
+    names = ("load_transfer", "wheel_travel", "is_tipped", "pose_error", "uncertainty")
+    rows = {name: [getattr(each, name) for each in records] for name in names}
+    return {name: jnp.stack(each) for name, each in rows.items() if each[0] is not None}

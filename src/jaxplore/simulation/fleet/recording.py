@@ -17,6 +17,7 @@ from jaxplore.dynamics.formation import Formation, extent
 from jaxplore.parts.anomalies import AnomalyTest
 from jaxplore.parts.recognition import Recognition
 from jaxplore.parts.watch import IdlenessMap
+from jaxplore.report.exploration.data import LocalisationData
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
@@ -114,6 +115,7 @@ def make_recording(
         anomalies=reports,
         objects=object_data(known.get(Recognition.name), first.objects, recognition),
         initial_unknown=float(before.members[0].progress.unknown),
+        localisation=_localisation_data(after),
     )
 
 
@@ -134,6 +136,17 @@ def merge_parts(parts: Sequence[Part], rows: Sequence[dict[str, Any]]) -> dict[s
         total = jnp.sum(told[AnomalyTest.name].num_cleared, dtype=jnp.int32)
         merged[AnomalyTest.name] = dataclasses.replace(test, num_cleared=total)
     return merged
+
+
+def _localisation_data(after: FleetState) -> tuple[LocalisationData, ...] | None:
+    """Return where each robot took itself to be; None if they knew their poses."""
+    found = []
+    for each in after.members:
+        place, track = each.own.place, each.judged.track
+        if place is None or track is None:
+            return None
+        found.append(track.data(place, each.belief.grid))
+    return tuple(found)
 
 
 def _gather_on_host(share: Share, own: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """The exploration of an unknown world by a fleet of robots."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,11 +33,12 @@ from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
+from jaxplore.simulation.fleet.closing import close_loops
 from jaxplore.simulation.fleet.communication import Talk, known_states
 from jaxplore.simulation.fleet.contact import stop_touching
 from jaxplore.simulation.fleet.disturbances import FleetDisturbances
 from jaxplore.simulation.fleet.driver import FleetDriver
-from jaxplore.simulation.fleet.motion import moves, stack_wheels
+from jaxplore.simulation.fleet.motion import moves, stack_fields
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
 from jaxplore.simulation.fleet.senses import TeamSenses
@@ -180,6 +182,10 @@ class Fleet(Scenario):
         check_share(share, self.explorations.kinds, "robots")
         if self.members[0].chassis is not None:
             raise ValueError("chassis of the robots is given; accepted in several processes: none")
+        if self.members[0].localisation is not None:
+            raise ValueError(
+                "localisation of the robots is given; accepted in several processes: none"
+            )
         return with_field(self, "share", share)
 
     @property
@@ -199,13 +205,27 @@ class Fleet(Scenario):
 
     @property
     def steps_per_revision(self) -> int | None:
-        """Control periods between two assignments; None without assignments."""
-        if self.coordination != "assignment" or self.num_robots == 1:
-            return None
-        return int(self.steps_per_exchange)
+        """Control periods between two assignments or searches for loops; None without any."""
+        every = [each for each in self._revisions if each is not None]
+        return math.gcd(*every) if every else None
+
+    @property
+    def _revisions(self) -> tuple[int | None, ...]:
+        """Control periods between two assignments, and of each robot between two searches for
+        loops."""
+        has_clusters = self.coordination == "assignment" and self.num_robots > 1
+        assignments = int(self.steps_per_exchange) if has_clusters else None
+        return (assignments, *(each.steps_per_revision for each in self.members))
 
     def update_on_host(self, state: LoopState) -> LoopState:
-        """Return the state with the clusters of frontier cells assigned anew, on the host."""
+        """Return the state after work on the host: maps moved where a robot has closed a loop, and
+        clusters of frontier cells assigned anew."""
+        step, (assignments, *closings) = int(state.step), self._revisions
+        for index, every in enumerate(closings):
+            if every is not None and step % every == 0:
+                state = close_loops(self.members, self.robot, self.identity, state, index)
+        if assignments is None or step % assignments:
+            return state
         task: FleetState = state.task
         assert task.team is not None
         members = with_assignments(
@@ -213,17 +233,29 @@ class Fleet(Scenario):
         )
         return state._replace(task=task._replace(members=members))
 
+    def measure_state(self, state: FleetState) -> StateVector:
+        """Return the states (nx,) that the robots take to be their own; see `Localisation`."""
+        if self.members[0].localisation is None:
+            return state.robot
+        pairs = zip(self.members, state.members, strict=True)
+        return jnp.concatenate([one.measure_state(each) for one, each in pairs])
+
     def init(self, key: Key | None) -> tuple[FleetState, FleetBelief]:
         """Return the initial state, and the beliefs with the prior map."""
         members, starts = [], self.robot.split_state(self.start)
 
-        def begin(one: ExplorationScenario, start: StateVector) -> ExplorationState:
+        def begin(
+            one: ExplorationScenario, start: StateVector, own_key: Key | None
+        ) -> ExplorationState:
             here: ExplorationScenario = eqx.tree_at(lambda each: each.start, one, start)
-            return here.init(key)[0]
+            # What moves in the world is the same for all, what a robot measures is its own.
+            moving = here.init(key)[0].moving_obstacles
+            return here.init(own_key)[0]._replace(moving_obstacles=moving)
 
         # One compiled body for equal robots: once in a run, copies of their maps do not matter.
         own = self.explorations.at(self.share.mine)
-        begun = own.each(begin, self.share.select(starts))
+        keys = [None] * self.num_robots if key is None else robot_keys(key, self.identity)
+        begun = own.each(begin, self.share.select(starts), self.share.select(keys))
         for index, alone in zip(self.share.mine, begun, strict=True):
             members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
         known = self._talk.count_known(members)
@@ -325,20 +357,22 @@ class Fleet(Scenario):
             moved, contact = list(apart.states), apart.is_contact
             clearance = jnp.minimum(clearance, apart.gap)
             sent, links, coverages = team.sent, team.links, team.coverages
-            states = state.robot, jnp.concatenate(moved)
-            if self._varies:
-                # The robots measure with noise, and know no more of the step than their models.
-                here = known_states(moment)
-                states = here, self._model.step(here, control, self.control_period)
-            team = self._talk.update_plans(team, *states, moment.step, info)
+        own = map(self.share.select, (self.members, moved, controls, wheels))
         members = tuple(
-            each.after_step(robot, given)._replace(wheels=after)
-            for each, robot, given, after in zip(
-                state.members, *map(self.share.select, (moved, controls, wheels)), strict=True
-            )
+            one.follow_odometry(each, robot, moment.step)
+            .after_step(robot, given)
+            ._replace(wheels=after)
+            for each, one, robot, given, after in zip(state.members, *own, strict=True)
         )
-        joint = jnp.concatenate(moved)
-        state = state._replace(robot=joint, members=members, team=team)
+        joint, here = jnp.concatenate(moved), state.robot
+        state = state._replace(robot=joint, members=members)
+        if team is not None:
+            known = self.measure_state(state)
+            if self._varies:
+                # Robots that measure with noise know no more of the step than their models do.
+                known = self._model.step(known_states(moment), control, self.control_period)
+            team = self._talk.update_plans(team, here, joint, known, moment.step, info)
+            state = state._replace(team=team)
         is_over = self.is_finished(state) | (state.finished > 0)
         record = FleetRecord(
             state=joint,
@@ -357,7 +391,7 @@ class Fleet(Scenario):
             mean_idleness=None if state.idleness is None else state.idleness[0],
             worst_idleness=None if state.idleness is None else state.idleness[1],
             stop=moment.stop,
-            **stack_wheels(records),
+            **stack_fields(records),
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 

@@ -14,6 +14,7 @@ from jaxplore._types import Flag, Key, Pose
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.robot.clock import when_due
+from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import tell
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs, MovingObstacles
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -72,13 +73,15 @@ class TeamSenses(NamedTuple):
             around,
             [each.robot for each in states],
             [each.sight.is_taken for each in scanned],
+            [_known_pose(each.state) for each in scanned],
             list(keys),
         )
         is_due = rates.are_fields_due(moment.step)
+        sights = [each.sight.correct(each.state.own.place) for each in scanned]
         beliefs: list[Belief] = []
         for one, sensed, obstacles in zip(scenarios, scanned, known, strict=True):
             belief = dataclasses.replace(sensed.state.belief, obstacles=obstacles)
-            inform = functools.partial(_update_information, one)
+            inform = functools.partial(_update_information, one, sensed.state.own.place)
             beliefs += when_due(is_due, sensed.sight.is_placed, inform, (belief,))
         # What reads an information field is apart from what changes it in place: within one branch
         # XLA would copy the field of every robot, twice.
@@ -87,8 +90,8 @@ class TeamSenses(NamedTuple):
             self._update_guidance,
             lambda beliefs, *_: [_guidance(each) for each in beliefs],
             beliefs,
-            [each.sight.pose for each in scanned],
-            [each.sight.is_placed for each in scanned],
+            [each.pose for each in sights],
+            [each.is_placed for each in sights],
         )
         return tuple(
             each.state.with_belief(dataclasses.replace(belief, **fields))
@@ -107,6 +110,7 @@ class TeamSenses(NamedTuple):
             beside: MovingDiscs,
             robot: Array,
             is_taken: Flag,
+            place: Pose | None,
             key: Key,
         ) -> Obstacles:
             truth = _among(one.world_at(moving, moment), moving, beside)
@@ -114,7 +118,7 @@ class TeamSenses(NamedTuple):
 
             def update(before: Obstacles) -> Obstacles:
                 told = truth.tell(one.sensors, pose, one.tracking_noise, key)
-                return before if told is None else tell(before, told)
+                return before if told is None else tell(before, told, place)
 
             tracked: Obstacles = jax.lax.cond(is_taken, update, lambda before: before, obstacles)
             return tracked
@@ -146,8 +150,20 @@ class TeamSenses(NamedTuple):
         return self.explorations.each(guide, small, poses, is_placed)
 
 
-def _update_information(one: ExplorationScenario, belief: Belief) -> tuple[Belief]:
-    """Return the belief of a robot with the information field of its map."""
+def _known_pose(state: ExplorationState) -> Pose | None:
+    """Return the pose that a robot has found; None if its odometry tells it."""
+    return None if state.own.place is None else state.own.place.known.pose
+
+
+def _update_information(
+    one: ExplorationScenario, place: PoseKnowledge | None, belief: Belief
+) -> tuple[Belief]:
+    """Return the belief of a robot with the information field of its map.
+
+    `place` is what it knows of its pose; None if its odometry tells it.
+    """
+    if one.localisation is not None and place is not None:
+        belief = one.localisation.inform(place, belief)
     return (one.perception.update_information(belief),)
 
 
