@@ -20,11 +20,12 @@ class Decided(NamedTuple):
     """A command that is sent to the robot's base, with the states of controller and guard after it.
 
     `control` (nu,) is not finite where the base is told to brake. `guard` is None without a guard.
+    A fleet has the states of all its guards there.
     """
 
     control: ControlVector
     memory: Any
-    guard: GuardState | None
+    guard: Any
     info: Info
 
 

@@ -123,6 +123,7 @@ class FleetData(MissionData):
         radii: (N,) radii of the robots [m].
         coordination: how the robots divided the places among themselves.
         localisation: where each robot took itself to be; None if they knew their poses.
+        goal: (2,) goal position of all robots [m]; None if there is no goal.
     """
 
     records: FleetRecord
@@ -133,12 +134,14 @@ class FleetData(MissionData):
     radii: np.ndarray
     coordination: str
     localisation: tuple[LocalisationData, ...] | None = None
+    goal: np.ndarray | None = None
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
         return {
             "records": move_records(self.records, offset, self.state_names),
             "start": move_states(self.start, offset, self.state_names),
+            "goal": None if self.goal is None else move_points(self.goal, offset),
             "localisation": (
                 None
                 if self.localisation is None

@@ -55,6 +55,9 @@ def map_figure(data: FleetData) -> "Figure":
             axes.plot(*track.T, linestyle="--", linewidth=1.0, color=ESTIMATE, zorder=4.5)
     if data.localisation is not None:
         axes.plot([], [], linestyle="--", linewidth=1.0, color=ESTIMATE, label="estimated ways")
+    if data.goal is not None:
+        spot = (window.place(data.goal[None]) + window.corner)[0]
+        axes.plot(*spot, marker="*", markersize=12.0, color="#e9a23b", label="goal", **marks)
     for marker, name in (("o", "start"), ("s", "end")):
         axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
     add_ground(axes, data, window)

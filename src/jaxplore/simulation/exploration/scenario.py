@@ -654,12 +654,19 @@ class ExplorationScenario(Scenario):
         Args:
             state: the task's state, with the map that the robot knows in `belief.grid`.
         """
-        check, is_there = self.goal_check, None
-        if check is not None:
-            # A robot that finds its pose is where it takes itself to be.
-            is_there = check.is_reached(self.robot.pose(self.measure_state(state)), state.motion)
+        is_there = self.is_at_goal(state)
         end = (self.ends_by, self.target_coverage, state.own.knowledge, is_there, self.max_unknown)
         return is_finished(state.progress, state.is_seen, *end, counts_walls=self.counts_walls)
+
+    def is_at_goal(self, state: ExplorationState) -> Flag | None:
+        """Check whether the robot is at its goal (`GoalCheck`); None without a goal."""
+        check = self.goal_check
+        if check is None:
+            return None
+        # A robot that finds its pose is where it takes itself to be.
+        pose = self.robot.pose(self.measure_state(state))
+        is_reached: Flag = check.is_reached(pose, state.motion)
+        return is_reached
 
     def is_given_up(self, state: ExplorationState) -> Flag:
         """Check whether the exploration is given up, as the class says.

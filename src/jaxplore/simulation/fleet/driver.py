@@ -70,8 +70,10 @@ class FleetDriver(NamedTuple):
         if watch is None:
             return observed, None
 
-        def judge(one: ExplorationScenario, *given: Any) -> Any:
-            return one.driver().judge(*given, time)
+        def judge(
+            one: ExplorationScenario, own: GuardState, seen: Array, before: Array, scan: ScanPoints
+        ) -> Any:
+            return one.driver().judge(own, seen, before, scan, time)
 
         states = (self._own(self.formation.split_state(each)) for each in (observed, last))
         found = self._here.each(judge, watch.robots, *states, points)
@@ -103,11 +105,12 @@ class FleetDriver(NamedTuple):
             return Decided(control, memory, None, info)
         # A guard stops one robot, and starts the controller of that one anew.
         _kinds.instance("controller of robots with guards", controller, FleetController)
+        assert isinstance(controller, FleetController)
 
         def decide(both: tuple[ExplorationScenario, Controller], *given: Any) -> Decided:
-            one, own = both
-            *rest, scan, own_key = given
-            return one.driver(own).decide(*rest, scan, time, own_key)
+            (one, own), (*known, own_key) = both, given
+            kept, judged, seen, believed, scan = known
+            return one.driver(own).decide(kept, judged, seen, believed, scan, time, own_key)
 
         pairs = self._here.beside(controller.own.at(self.share.mine))
         memories, states, beliefs, keys = controller.rows(memory, observed, belief, key)

@@ -116,6 +116,7 @@ def make_recording(
         objects=object_data(known.get(Recognition.name), first.objects, recognition),
         initial_unknown=float(before.members[0].progress.unknown),
         localisation=_localisation_data(after),
+        goal=None if first.goal is None else np.asarray(first.goal),
     )
 
 

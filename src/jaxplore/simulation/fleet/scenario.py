@@ -21,6 +21,7 @@ from jaxplore.control.fleet_controller import FleetBelief, robot_keys
 from jaxplore.control.fleet_share import Share, check_share
 from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.dynamics.formation import Formation, extent
+from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord, move_records
 from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
@@ -75,13 +76,17 @@ class Fleet(Scenario):
     that concern all, the rates, the target coverage, the faults, are those of the first robot's
     exploration.
 
+    With a goal it is finished when one robot is there, and the robots together know the target
+    coverage, or that robot has nothing left to explore (`Belief.is_explored`), or all targets were
+    found. They explore first, as one robot with a goal does.
+
     A fleet of one robot runs as that robot alone does, to the bit. The order of the robots does not
     matter: keys are derived from the order of the starts by x, y and yaw.
 
     Args:
         robots: exploration of each robot, in one world; or that of one robot, for a fleet of equal
-            ones. Without a target coverage they have 0.99. They have no goal, and all have the same
-            parts, a guard or none, and a chassis or none.
+            ones. Without a target coverage they have 0.99. All have the same goal and the same
+            parts, a guard or none, a chassis or none, and a localisation or none.
         starts: (N, 3) start pose (x, y, yaw) of each robot [m, m, rad], at rest; those of the
             explorations when absent.
         radio: who hears whom; `Radio()` when absent.
@@ -180,12 +185,11 @@ class Fleet(Scenario):
             ValueError: robots that are not all equal, or one alone.
         """
         check_share(share, self.explorations.kinds, "robots")
-        if self.members[0].chassis is not None:
-            raise ValueError("chassis of the robots is given; accepted in several processes: none")
-        if self.members[0].localisation is not None:
-            raise ValueError(
-                "localisation of the robots is given; accepted in several processes: none"
-            )
+        for name in ("chassis", "localisation", "goal"):
+            if getattr(self.members[0], name) is not None:
+                raise ValueError(
+                    f"{name} of the robots is given; accepted in several processes: none"
+                )
         return with_field(self, "share", share)
 
     @property
@@ -298,12 +302,15 @@ class Fleet(Scenario):
         known = known._replace(gain=state.gain.update(known.coverage, self.control_period))
         return known, self._belief(known)
 
-    def driver(self, controller: Controller | None = None) -> FleetDriver:
+    # One for each robot, behind the methods of one.
+    def driver(  # type: ignore[override]
+        self, controller: Controller | None = None
+    ) -> FleetDriver:
         """Return what decides the commands of all robots; see `Scenario.driver`."""
         return FleetDriver(self.explorations, self.share, self.robot, controller)
 
     @property
-    def disturbances(self) -> FleetDisturbances:
+    def disturbances(self) -> FleetDisturbances:  # type: ignore[override]
         """What each true robot differs by from its model, and what fails."""
         robots = tuple(Disturbances(None, each.variation) for each in self.members)
         return FleetDisturbances(self._model, robots, self.faults, self.identity)
@@ -313,7 +320,7 @@ class Fleet(Scenario):
         """Models of the robots, by which they plan; `robot` may be others that are true."""
         return Formation([each.robot for each in self.members])
 
-    def scan_points(
+    def scan_points(  # type: ignore[override]
         self, state: FleetState, moment: Moment | None = None
     ) -> tuple[ScanPoints, ...]:
         """Return the newest scan of each robot that this process computes."""
@@ -361,7 +368,10 @@ class Fleet(Scenario):
         members = tuple(
             one.follow_odometry(each, robot, moment.step)
             .after_step(robot, given)
-            ._replace(wheels=after)
+            ._replace(
+                wheels=after,
+                motion=Motion.between(one.robot, each.robot, robot, self.control_period),
+            )
             for each, one, robot, given, after in zip(state.members, *own, strict=True)
         )
         joint, here = jnp.concatenate(moved), state.robot
@@ -399,17 +409,34 @@ class Fleet(Scenario):
         """Check whether the exploration is neither finished nor given up."""
         hover = self.members[0].hover_steps
         is_over = (state.finished > hover) | self.is_given_up(state)
-        return ~(is_over | (self.is_finished(state) & (hover == 0)))
+        if self.members[0].goal is None:
+            is_over = is_over | (self.is_finished(state) & (hover == 0))
+        return ~is_over
 
     def is_finished(self, state: FleetState) -> Flag:
-        """Check whether the robots together know the target coverage, or have seen all targets."""
+        """Check whether the robots together know the target coverage, or have seen all targets, and
+        one of them is at the goal if there is one."""
+        first = self.members[0]
         if state.is_seen.size:
-            return state.is_seen.all()
-        return state.coverage >= self.members[0].target_coverage
+            is_covered = state.is_seen.all()
+        else:
+            is_covered = state.coverage >= first.target_coverage
+        if first.goal is None:
+            return is_covered
+        if state.team is None:
+            return first.is_finished(state.members[0])
+        arrived = []
+        for one, each in zip(self.members, state.members, strict=True):
+            is_there, is_done = one.is_at_goal(each), is_covered
+            assert is_there is not None
+            if not state.is_seen.size:
+                is_done = is_done | each.belief.is_explored
+            arrived.append(is_there & is_done)
+        return jnp.stack(arrived).any()
 
     def is_given_up(self, state: FleetState) -> Flag:
         """Check whether the coverage has not risen for long, see `ExplorationScenario`."""
-        if state.is_seen.size:
+        if state.is_seen.size or self.members[0].goal is not None:
             return jnp.array(False)
         first = self.members[0]
         is_judged = (state.finished == 0) & (first.ends_by != TARGETS.index(NEVER))

@@ -131,8 +131,9 @@ class TeamSenses(NamedTuple):
         """Return the guidance of each robot, and what else follows from its information."""
 
         def guide(one: ExplorationScenario, belief: Belief, pose: Pose, placed: Flag) -> Any:
-            # Any map of the shape will do: without a goal none is read.
-            belief = dataclasses.replace(belief, grid=one.map_arrays.prior)
+            if belief.grid is None:
+                # Any map of the shape will do: without a goal none is read.
+                belief = dataclasses.replace(belief, grid=one.map_arrays.prior)
             after: Belief = jax.lax.cond(
                 placed,
                 lambda same: one.perception.update_guidance(same, pose, one.rates.since_fields),
@@ -142,7 +143,9 @@ class TeamSenses(NamedTuple):
             return _guidance(after)
 
         # Guidance reads the clearance and the total information, and the loop need not copy more.
-        absent: dict[str, Any] = {"grid": None, "obstacles": None, "parts": {}}
+        absent: dict[str, Any] = {"obstacles": None, "parts": {}}
+        if self.explorations.kinds[0].goal is None:
+            absent["grid"] = None
         small = [
             dataclasses.replace(each, information=each.information.without_directions(), **absent)
             for each in beliefs
