@@ -40,7 +40,7 @@ def guard_metrics(stop: Any) -> dict[str, Any]:
     if stop is None:
         return {"stops": {}, "stopped_steps": 0}
     codes = np.asarray(stop)
-    robots = codes.reshape(len(codes), -1).T
+    robots = codes.T if codes.ndim > 1 else codes[None]
     numbers = {
         reason: sum(episodes(own == code) for own in robots)
         for code, reason in enumerate(REASONS)
