@@ -44,6 +44,12 @@ class Alike[T](eqx.Module):
         same: Alike[T] = eqx.tree_at(lambda at: at.kinds, self, kinds)
         return same
 
+    def beside[U](self, other: "Alike[U]") -> "Alike[tuple[T, U]]":
+        """Return as many pairs, each of a thing here and one of others."""
+        places = list(zip(self.kind_of, other.kind_of, strict=True))
+        made = {(one, two): (self.kinds[one], other.kinds[two]) for one, two in places}
+        return Alike([made[place] for place in places])
+
     def each(
         self, function: Callable[..., Any], *rows: Sequence[Any], is_large: bool = False
     ) -> list[Any]:

@@ -8,39 +8,71 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests import kinds
 
 from jaxplore import Lidar, Perception, Unicycle, explorer
 from jaxplore.control.fleet_controller import FleetController, same_for_all
 from jaxplore.control.guard import MotionGuard
+from jaxplore.control.stops import LOST
 from jaxplore.costs.moving import MovingObstacleCost
+from jaxplore.localisation import Localiser, Odometry
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.parts import IdlenessMap, KeepOut
 from jaxplore.parts.watch.report import WatchRecord, WatchReport
 from jaxplore.parts.wheels.report import WheelRecord, WheelReport
 from jaxplore.report.compute import Timing
+from jaxplore.report.exploration.guard import guard_metrics
 from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.robot.localisation import Localisation
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.radio import NEVER, Radio
 from jaxplore.simulation.fleet.scenario import Fleet
 from jaxplore.simulation.fleet.starts import near_starts
 from jaxplore.simulation.loop import initial_loop_state, moment_at, run_chunk
 from jaxplore.simulation.run import Run
+from jaxplore.simulation.variation import Variation
 
 pytestmark = pytest.mark.long
 
 STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4), (1.9, 1.5, 0.1))
 FAR, NEAR = 100.0, 0.5
+VARIATION = Variation(
+    gain=(0.7, 0.9), control_delay=(0, 2), control_noise=(0.0, 0.1), position_noise=(0.0, 0.01)
+)
+LOCALISATION = Localisation(Odometry(turn_noise=0.05), Localiser(capacity=64))
 TARGETS = ((2.8, 2.8), (5.5, 2.6))
 
 
-def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, fleet, run) -> None:
+def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) -> None:
+    """It finds its pose, has other motors, and a guard stops it while its odometry is lost."""
+    alone = ExplorationScenario(
+        alone.world,
+        alone.robot,
+        alone.sensors,
+        STARTS[0],
+        perception=Perception(
+            alone.sensors, 0.1, 0.15, num_directions=4, max_clearance=0.5, is_localising=True
+        ),
+        control_rate=20.0,
+        field_rate=4.0,
+        localisation=LOCALISATION,
+        target_coverage=0.99,
+        faults=Faults(lost_odometry=(2.0, 2.3)),
+    ).with_guard(MotionGuard())
+    alone = alone.with_variation(VARIATION)
     _, single = run(drive(has_others=False), alone, 70)
-    _, together = run(*fleet(STARTS[:1]), 70)
+    _, together = run(*kinds.fleet(alone, STARTS[:1]), 70)
     assert np.ptp(single.state[:, 0]) > 0.3
     for name in ("state", "control", "coverage", "effective_sample_size"):
         np.testing.assert_array_equal(getattr(single, name), getattr(together, name))
     np.testing.assert_array_equal(single.clearance, together.clearance[:, 0])
+    np.testing.assert_array_equal(single.stop, together.stop[:, 0])
+    np.testing.assert_array_equal(single.pose_error, together.pose_error[:, 0])
+    assert single.pose_error.max() > 1e-3
+    assert (single.stop == LOST).sum() >= 6
+    assert guard_metrics(together.stop) == guard_metrics(single.stop)
     assert not together.is_contact.any()
     assert not together.sent.any()
 
@@ -51,17 +83,19 @@ def mixed(alone, drive, run):
 
     They are two differential drives, and between them a unicycle of another size with another
     lidar. They look for two targets, one in their room and one in the other, and keep watch.
+    Each finds its pose and has a guard, and the unicycle differs from its model.
     """
     robot = Unicycle(max_speed=0.8, radius=0.12)
     lidar = Lidar(num_beams=24, max_range=1.2)
     area = [(5.2, 0.3), (5.6, 0.3), (5.6, 0.7), (5.2, 0.7)]
-    numbers = {"num_directions": 4, "max_clearance": 0.5}
+    numbers = {"num_directions": 4, "max_clearance": 0.5, "is_localising": True}
     numbers["parts"] = [IdlenessMap(20.0), KeepOut([area])]
     perception = Perception(lidar, 0.1, 0.12, **numbers)
-    rates = {"control_rate": 20.0, "field_rate": 4.0}
+    rates = {"control_rate": 20.0, "field_rate": 4.0, "localisation": LOCALISATION}
     other = ExplorationScenario(
         alone.world, robot, lidar, STARTS[1], perception=perception, targets=TARGETS, **rates
-    )
+    ).with_guard(MotionGuard())
+    other = other.with_variation(VARIATION)
     alone = ExplorationScenario(
         alone.world,
         alone.robot,
@@ -70,7 +104,7 @@ def mixed(alone, drive, run):
         perception=Perception(alone.sensors, 0.1, alone.robot.radius, **numbers),
         targets=TARGETS,
         **rates,
-    )
+    ).with_guard(MotionGuard())
     one = drive(has_others=True)
     cost = MovingObstacleCost(nearness=None, clearance=0.6)
     two = explorer(
@@ -369,8 +403,6 @@ def test_starts_are_chosen_near_one_another_and_always_the_same(alone) -> None:
 
 
 def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
-    with pytest.raises(ValueError, match=r"guard of robots\[0\] is given"):
-        Fleet(alone.with_guard(MotionGuard()), STARTS[:2])
     walls = eqx.tree_at(lambda each: each.ends_by, alone, jnp.int32(2))
     with pytest.raises(ValueError, match=r"target of robots\[0\] is 'walls'; accepted in a fleet"):
         Fleet(walls, STARTS[:2])
@@ -385,8 +417,6 @@ def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
     controller, scenario = fleet()
     with pytest.raises(ValueError, match="controllers has 1 entries; accepted: 2"):
         FleetController(controller.controllers[:1], scenario.robot)
-    with pytest.raises(ValueError, match="guard is a MotionGuard; accepted for a fleet: None"):
-        scenario.with_guard(MotionGuard())
 
 
 def test_a_fleet_without_a_target_coverage_ends_at_its_own(alone) -> None:

@@ -4,10 +4,14 @@ import json
 import numpy as np
 import pytest
 
+from jaxplore.control.stops import REASONS
 from jaxplore.parts.watch.report import WatchRecord, WatchReport
 from jaxplore.report.drawing.colours import TARGET
+from jaxplore.report.exploration.data import LocalisationData
 from jaxplore.report.exploration.evaluation import compute_metrics
+from jaxplore.report.exploration.guard import guard_metrics
 from jaxplore.report.exploration.progress import progress
+from jaxplore.report.recording_arrays import pack_recording, unpack_recording
 
 
 def test_levels_are_timed_at_the_beginning_of_the_step_that_records_them(recording):
@@ -319,3 +323,57 @@ def test_everything_is_json_with_and_without_a_step(vehicle, no_step, make_vehic
         str(metrics)
     assert metrics.members is metrics.parts["watch"].mean_idleness is metrics.last_target_at is None
     assert (metrics.num_targets, metrics.targets_seen) == (3, 0)
+
+
+def test_stops_are_counted_for_each_robot() -> None:
+    lost, frozen = REASONS[1], REASONS[2]
+    assert guard_metrics(None) == {"stops": {}, "stopped_steps": 0}
+    alone = np.array([0, 1, 1, 0, 2, 1])
+    assert guard_metrics(alone) == {"stops": {lost: 2, frozen: 1}, "stopped_steps": 4}
+    # Of two robots: the second is stopped in the same steps, and once more.
+    both = np.stack([alone, [1, 1, 1, 0, 0, 0]], axis=1)
+    assert guard_metrics(both) == {"stops": {lost: 3, frozen: 1}, "stopped_steps": 7}
+    for nothing in (np.zeros(0, int), np.zeros((0, 3), int)):
+        assert guard_metrics(nothing) == {"stops": {}, "stopped_steps": 0}
+
+
+def test_a_fleet_that_finds_its_poses_tells_their_errors(fleet_run):
+    """The first robot takes itself to be 0.3 m beside its way, the second shakes by 0.1 m."""
+    along = np.linspace(0.0, 12.0, 41)
+    true = np.stack([along, 0.1 * along**2, np.zeros(41)], axis=1)
+    shaken = true + np.where(np.arange(41) % 2, 0.1, -0.1)[:, None] * [0.0, 1.0, 0.0]
+    world, beside = np.asarray(fleet_run.world), np.add(true, [0.3, 0.0, 0.0])
+    places = tuple(
+        LocalisationData(true, poses, true, along, world, loops)
+        for poses, loops in ((beside, 2), (shaken, 1))
+    )
+    steps = fleet_run.num_steps
+    errors = np.stack([np.full(steps, 0.3), np.linspace(0.0, 0.2, steps)], axis=1)
+    goal = np.array([1.5, 1.0])
+    located = dataclasses.replace(
+        fleet_run,
+        records=fleet_run.records._replace(pose_error=errors, uncertainty=errors),
+        localisation=places,
+        goal=goal,
+    )
+    metrics = located.metrics()
+    # An offset of a whole way is no error of its form.
+    assert metrics.ates == pytest.approx((0.0, 0.1), abs=2e-3)
+    assert metrics.ate == max(metrics.ates)
+    assert metrics.odometry_ates == pytest.approx((0.0, 0.0), abs=1e-6)
+    expected = np.sqrt(np.mean(np.linspace(0.0, 0.2, steps) ** 2))
+    assert metrics.position_errors == pytest.approx((0.3, expected))
+    assert metrics.num_loops == 3
+    away = np.hypot(*(fleet_run.last_positions - goal).T)
+    assert metrics.goal_distance == pytest.approx(away.min())
+    assert {"position error", "trajectory error", "goal"} <= dict(metrics.rows()).keys()
+    labels = located.figures()["map"]().axes[0].get_legend_handles_labels()[1]
+    assert {"estimated ways", "goal"} <= set(labels)
+    assert {"true_poses_2", "estimated_poses_2"} <= located.arrays().keys()
+    # It is read from a file as it was, and moves to the coordinates of a map.
+    again = unpack_recording(pack_recording(located)).move(np.array([10.0, 20.0]))
+    assert again.metrics().ates == pytest.approx(metrics.ates, abs=1e-6)
+    np.testing.assert_allclose(again.localisation[1].poses[:, :2], shaken[:, :2] + [10.0, 20.0])
+    np.testing.assert_allclose(again.goal, np.add(goal, [10.0, 20.0]))
+    plain = fleet_run.metrics()
+    assert (plain.ates, plain.ate, plain.goal_distance, plain.num_loops) == ((), None, None, None)

@@ -127,13 +127,13 @@ class FleetController(Controller):
             return own.step(memory, observed, known, key=own_key)
 
         # Beliefs are large: copied in a loop, they would take longer than the control.
-        rows = self._rows(state, observation, belief, key)
+        rows = self.rows(state, observation, belief, key)
         here = self.own.at(self.share.mine)
         found = here.each(control, *rows, is_large=True)
         states = [memory for _, memory, _ in found]
         told = self.share.gather([(command, info) for command, _, info in found])
         controls, infos = zip(*told, strict=True)
-        return jnp.concatenate(controls), tuple(states), _join(infos)
+        return jnp.concatenate(controls), tuple(states), join_infos(infos)
 
     def inspect(
         self,
@@ -158,7 +158,7 @@ class FleetController(Controller):
 
         # A plan is inspected for a frame, which is rare: one body compiles sooner.
         here = self.own.at(self.share.mine)
-        plans = self.share.gather(here.each(plan, *self._rows(state, observation, belief, key)))
+        plans = self.share.gather(here.each(plan, *self.rows(state, observation, belief, key)))
         return SampledPlan(
             _side_by_side([each.nominal for each in plans]),
             _side_by_side([each.best for each in plans]),
@@ -166,16 +166,24 @@ class FleetController(Controller):
             jnp.mean(jnp.stack([each.weights for each in plans]), axis=0),
         )
 
-    def _rows(
+    def rows(
         self, state: tuple[Any, ...], observation: StateVector, belief: FleetBelief, key: Key
     ) -> tuple[Sequence[Any], ...]:
-        """Return the states, observations, beliefs and keys of the robots of this process."""
+        """Return the states, observations, beliefs and keys of the robots of this process.
+
+        Args:
+            state: states of their controllers.
+            observation: (nx,) states of all robots.
+            belief: what the robots know.
+            key: random key of the step.
+        """
         observed = self.share.select(self.formation.split_state(observation))
         keys = self.share.select(robot_keys(key, belief.identity))
         return state, observed, belief.robots, keys
 
 
-def _join(infos: Sequence[Info]) -> Info:
+def join_infos(infos: Sequence[Info]) -> Info:
+    """Return the diagnostics of all robots, see `FleetController.step`."""
     if len(infos) == 1:
         return infos[0]._replace(members=None, log_ratio=None)
     number = len(infos)

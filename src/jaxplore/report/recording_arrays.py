@@ -202,7 +202,8 @@ def _unpack(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if "array" in packed:
         value = arrays[packed["array"]]
     elif "items" in packed:
-        value = tuple(_unpack(each, Any, arrays) for each in packed["items"])
+        inner = _entry_hint(hint)
+        value = tuple(_unpack(each, inner, arrays) for each in packed["items"])
     elif "mapping" in packed:
         value = {name: _unpack(each, Any, arrays) for name, each in packed["mapping"].items()}
     elif "part" in packed:
@@ -261,6 +262,15 @@ def _make_record(fields: Mapping[str, Any], hint: Any, arrays: Mapping[str, np.n
 def _options(hint: Any) -> tuple[Any, ...]:
     is_union = typing.get_origin(hint) in (types.UnionType, typing.Union)
     return typing.get_args(hint) if is_union else (hint,)
+
+
+def _entry_hint(hint: Any) -> Any:
+    """Return the class of the records in a tuple of them, else any."""
+    for each in _options(hint):
+        of = typing.get_args(each)
+        if typing.get_origin(each) is tuple and hasattr(of[0], "_fields"):
+            return of[0]
+    return Any
 
 
 def _tuples(hint: Any) -> Any:

@@ -20,24 +20,45 @@ class Decided(NamedTuple):
     """A command that is sent to the robot's base, with the states of controller and guard after it.
 
     `control` (nu,) is not finite where the base is told to brake. `guard` is None without a guard.
+    A fleet has the states of all its guards there.
     """
 
     control: ControlVector
     memory: Any
-    guard: GuardState | None
+    guard: Any
     info: Info
 
 
 class Driver(NamedTuple):
     """Decides which command is sent in each control period; `period` is its length [s].
 
-    The guard stops the robot where its pose, scan or motion cannot be true; None without one.
+    The guard stops the robot where its pose, scan or motion cannot be true; None without one. A
+    driver without a controller only judges.
     """
 
     model: Dynamics
-    controller: Controller
+    controller: Controller | None
     guard: MotionGuard | None
     period: Scalar
+
+    def init(self, start: StateVector) -> GuardState | None:
+        """Return the state of the guard of a robot at rest (nx,); None without a guard."""
+        return None if self.guard is None else self.guard.init(self.model, start)
+
+    def judge(
+        self,
+        watch: GuardState | None,
+        observed: StateVector,
+        last: StateVector,
+        points: ScanPoints,
+        time: Scalar,
+    ) -> tuple[StateVector, GuardState | None]:
+        """Return the observed state (nx,), NaN where the guard does not trust it, and the guard's
+        state; see `MotionGuard.judge`."""
+        if self.guard is None or watch is None:
+            return observed, watch
+        judged = self.guard.judge(self.model, watch, observed, last, points, time, self.period)
+        return jnp.where(judged.stop == GOOD, observed, jnp.nan), judged
 
     def decide(
         self,
@@ -54,13 +75,13 @@ class Driver(NamedTuple):
         `memory` is the state of the controller, and `observed` (nx,) the state that the robot takes
         to be its own. `watch` is None without a guard. `time` is the present time [s].
         """
-        guard = self.guard
+        guard, controller = self.guard, self.controller
+        assert controller is not None
         if guard is None or watch is None:
-            control, memory, info = self.controller.step(memory, observed, belief, key=key)
+            control, memory, info = controller.step(memory, observed, belief, key=key)
             return Decided(control, memory, watch, info)
         is_stopped = watch.stop != GOOD
         # A controller that compensates for a latency itself needs no prediction for it.
-        controller = self.controller
         latency = (
             controller.latency if isinstance(controller, LatencyCompensation) else 0.0 * self.period
         )
@@ -94,6 +115,7 @@ class Driver(NamedTuple):
         [s]. The state of the controller after it and what it says follow.
         """
         assert self.guard is not None
+        assert self.controller is not None
         control, memory, info = self.controller.step(memory, start, belief, key=key)
         # A command that is not finite is none: the robot's base then brakes.
         control = jnp.where(jnp.isfinite(start).all(), control, jnp.nan)

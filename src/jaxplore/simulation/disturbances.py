@@ -25,6 +25,10 @@ class Disturbances(NamedTuple):
         delay = 0 if faults is None else faults.control_delay
         return delay + (0 if variation is None else variation.control_delay[1])
 
+    def draw(self, key: Key | None, model: Dynamics) -> Drawn | None:
+        """Return the variation of the episode of a key; None if the robot does not vary."""
+        return None if self.variation is None else self.variation.draw(key, model)
+
     def observe(
         self,
         model: Dynamics,

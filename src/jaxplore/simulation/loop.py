@@ -11,8 +11,6 @@ import jax.numpy as jnp
 
 from jaxplore._types import Count, Key, StateVector
 from jaxplore.control.base import Controller
-from jaxplore.control.stops import GOOD
-from jaxplore.robot.decision import Driver
 from jaxplore.simulation.chunks import loop
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.simulation.state import LoopState, Moment
@@ -47,19 +45,11 @@ def moment_at(scenario: Scenario, state: LoopState, key: Key) -> Moment:
 
 def _judge(scenario: Scenario, state: LoopState, moment: Moment) -> Moment:
     """Return the moment with the judgement of the guard: a state that it does not trust is NaN."""
-    if scenario.guard is None or state.guard is None:
-        return moment
-    judged = scenario.guard.judge(
-        scenario.robot,
-        state.guard,
-        moment.observed,
-        state.observed,
-        scenario.scan_points(state.task, moment),
-        moment.time,
-        scenario.control_period,
-    )
-    observed = jnp.where(judged.stop == GOOD, moment.observed, jnp.nan)
-    return moment._replace(observed=observed, measured=moment.observed, guard=judged)
+    points = scenario.scan_points(state.task, moment)
+    given = state.guard, moment.observed, state.observed, points, moment.time
+    observed, judged = scenario.driver().judge(*given)
+    measured = None if judged is None else moment.observed
+    return moment._replace(observed=observed, measured=measured, guard=judged)
 
 
 def initial_loop_state(
@@ -78,16 +68,16 @@ def _initial_memory(controller: Controller) -> Any:
 
 @eqx.filter_jit
 def _initial_task(scenario: Scenario, key: Key | None) -> LoopState:
-    robot, variation = scenario.robot, scenario.variation
-    delay = scenario.disturbances.longest_delay
+    robot, disturbances = scenario.robot, scenario.disturbances
+    delay = disturbances.longest_delay
     state = LoopState(
         task=scenario.init(key)[0],
         controller=(),
         step=jnp.zeros((), jnp.int32),
         observed=scenario.start,
         pending=jnp.broadcast_to(robot.default_control, (delay, robot.control_size)),
-        drawn=None if variation is None else variation.draw(key, robot),
-        guard=None if scenario.guard is None else scenario.guard.init(robot, scenario.start),
+        drawn=disturbances.draw(key, robot),
+        guard=scenario.driver().init(scenario.start),
     )
     return _with_strong_types(state)
 
@@ -126,7 +116,7 @@ def control_step(
     """
     _, control_key = step_keys(key, state.step)
     robot, points, time = scenario.robot, scenario.scan_points(state.task), moment.time
-    driver = Driver(robot, controller, scenario.guard, scenario.control_period)
+    driver = scenario.driver(controller)
     given = state.controller, moment.guard, moment.observed, belief, points, time
     sent = driver.decide(*given, control_key)
     pending, control = scenario.disturbances.delay(state.pending, sent.control, state.drawn)

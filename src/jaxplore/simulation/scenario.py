@@ -22,6 +22,7 @@ from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.report.compute import Timing
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording, move_records
+from jaxplore.robot.decision import Driver
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.disturbances import Disturbances
 from jaxplore.simulation.faults import Faults
@@ -99,6 +100,14 @@ class Scenario(eqx.Module):
     def disturbances(self) -> Disturbances:
         """What the true robot differs by from its model, and what fails."""
         return Disturbances(self.faults, self.variation)
+
+    def driver(self, controller: Controller | None = None) -> Driver:
+        """Return what decides the commands: the controller, and the guard that watches over it.
+
+        Args:
+            controller: the controller; None where the guard only judges.
+        """
+        return Driver(self.robot, controller, self.guard, self.control_period)
 
     def measure_state(self, state: Any) -> StateVector:
         """Return the state (nx,) that the robot's base measures: by default the true one.
@@ -255,7 +264,7 @@ class Scenario(eqx.Module):
             jnp.array(False),
             members,
         )
-        guard = None if self.guard is None else self.guard.init(self.robot, self.start)
+        guard = self.driver().init(self.start)
         moment = Moment(
             jnp.zeros((), jnp.int32),
             nothing,

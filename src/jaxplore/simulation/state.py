@@ -5,8 +5,6 @@ from typing import Any, NamedTuple
 from jaxtyping import Array, Float
 
 from jaxplore._types import Count, Flag, Scalar, StateVector
-from jaxplore.control.guard import GuardState
-from jaxplore.simulation.variation import Drawn
 
 
 class Moment(NamedTuple):
@@ -20,7 +18,7 @@ class Moment(NamedTuple):
         is_faulty: whether a fault of measurements or odometry is active.
         measured: (nx,) state that was measured, also where the guard does not trust it and the
             observed state is NaN; None without a guard.
-        guard: judgement of the guard; None without one.
+        guard: judgement of the guard, or of those of a fleet; None without one.
     """
 
     step: Count
@@ -29,12 +27,12 @@ class Moment(NamedTuple):
     is_blind: Flag
     is_faulty: Flag
     measured: StateVector | None = None
-    guard: GuardState | None = None
+    guard: Any = None
 
     @property
-    def stop(self) -> Count | None:
-        """Why the guard stops the robot, an index into `control.stops.REASONS`; None without a
-        guard."""
+    def stop(self) -> Any:
+        """Why the guard stops the robot, an index into `control.stops.REASONS`, of a fleet for each
+        robot (N,); None without a guard."""
         return None if self.guard is None else self.guard.stop
 
 
@@ -43,8 +41,8 @@ class LoopState(NamedTuple):
 
     `task` is the state of the task, see `Scenario`. `observed` (nx,) is the state that the
     controller observed last. `pending` (D, nu) are the commands that have not taken effect yet,
-    oldest first. `drawn` is the variation of the episode; None if the robot does not vary. `guard`
-    is the state of the guard; None without one.
+    oldest first. `drawn` is the variation of the episode, of a fleet that of each robot; None if no
+    robot varies. `guard` is the state of the guard, or those of a fleet; None without one.
     """
 
     task: Any
@@ -52,5 +50,5 @@ class LoopState(NamedTuple):
     step: Count
     observed: StateVector
     pending: Float[Array, "D nu"]
-    drawn: Drawn | None = None
-    guard: GuardState | None = None
+    drawn: Any = None
+    guard: Any = None

@@ -39,8 +39,9 @@ class PlantedAnomalies(PartTruth):
     kinds: Int[Array, " P"]
 
     def __init__(self, boxes: Rows = (), kinds: Sequence[int] = ()) -> None:
-        _kinds.instance("boxes", boxes, list, tuple, np.ndarray)
-        given = boxes if len(boxes) else np.zeros((0, 4), np.float32)
+        accepted = "(P, 4), finite numbers (x_min, y_min, x_max, y_max)"
+        given = _checks.floats("boxes", boxes, accepted)
+        given = given if given.size else np.zeros((0, 4), np.float32)
         self.boxes = _checks.array("boxes", given, ("P", 4), may_be_empty=True)
         _kinds.instance("kinds", kinds, list, tuple, np.ndarray)
         if len(kinds) != self.boxes.shape[0]:

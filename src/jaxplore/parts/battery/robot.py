@@ -20,10 +20,12 @@ class Charge(NamedTuple):
 
     Args:
         energy: energy that is left [J].
+        dock: position (x, y) of the dock [m].
         is_returning: whether the robot drives to its dock, or is charged there.
     """
 
     energy: Scalar
+    dock: Position
     is_returning: Flag
 
 
@@ -68,7 +70,7 @@ class Battery(Part):
     Defaults are about those of a TurtleBot 4: 26 Wh, which last for 2.5 to 4 hours.
 
     Args:
-        dock: position (x, y) of the dock [m].
+        dock: position (x, y) of the dock [m]; that of the robot's start when absent.
         capacity: energy of the full battery [Wh].
         idle: power of the robot at rest [W].
         per_metre: energy of a metre of way [J/m].
@@ -85,7 +87,7 @@ class Battery(Part):
     name: ClassVar[str] = "battery"
     is_revisiting: ClassVar[bool] = False
 
-    dock: Position
+    dock: Position | None
     capacity: Scalar
     consumption: Consumption
     reserve: Scalar
@@ -94,7 +96,7 @@ class Battery(Part):
 
     def __init__(
         self,
-        dock: Vector,
+        dock: Vector | None = None,
         *,
         capacity: ArrayLike = 26.0,
         idle: ArrayLike = 6.0,
@@ -104,7 +106,7 @@ class Battery(Part):
         enough: ArrayLike = 0.95,
         cruise: ArrayLike = 0.5,
     ) -> None:
-        self.dock = _checks.vector("dock", dock, 2)
+        self.dock = None if dock is None else _checks.vector("dock", dock, 2)
         self.capacity = JOULES * _checks.scalar("capacity", capacity, above=0.0)
         self.consumption = Consumption(
             _checks.scalar("idle", idle, at_least=0.0),
@@ -118,8 +120,13 @@ class Battery(Part):
         self.cruise = _checks.scalar("cruise", cruise, above=0.0)
 
     def init(self, grid: OccupancyGrid) -> Charge:
-        """Return a full battery."""
-        return Charge(self.capacity, jnp.array(False))
+        """Return a full battery; a robot on board begins at (0, 0)."""
+        return self.charged(self.capacity, jnp.zeros(2))
+
+    def charged(self, energy: Scalar, start: Position) -> Charge:
+        """Return the state with an energy [J] of a robot that begins at `start` [m]."""
+        dock = start if self.dock is None else self.dock
+        return Charge(energy, dock, jnp.array(False))
 
     def look(self, own: Charge, measured: Scalar, time: Scalar) -> Charge:
         """Return the state after a measurement of the energy that is left [J]."""
@@ -132,7 +139,7 @@ class Battery(Part):
 
     def errand(self, own: Charge) -> Errand:
         """Return the dock, and whether the robot must go there."""
-        return Errand(self.dock, own.is_returning)
+        return Errand(own.dock, own.is_returning)
 
     def plan_errand(self, own: Charge, way: Scalar) -> Charge:
         """Return the state with the decision whether the robot returns."""

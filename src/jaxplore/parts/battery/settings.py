@@ -1,6 +1,5 @@
 """Settings of a battery, and the part and the truth that they describe."""
 
-from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import Field
@@ -16,7 +15,7 @@ class BatterySettings(Section):
     """A battery, and the dock where it is charged: see `jaxplore.parts.Battery`.
 
     Args:
-        dock: position (x, y) of the dock [m]; that of the start when absent.
+        dock: position (x, y) of the dock [m]; that of the start of each robot when absent.
     """
 
     dock: tuple[Real, Real] | None = None
@@ -31,10 +30,8 @@ class BatterySettings(Section):
     charge: Share = setting(TrueBattery, "charge")
 
 
-def build_battery(
-    given: BatterySettings, start: Sequence[float], datum: Datum
-) -> tuple[Battery, TrueBattery]:
-    """Build the part on board and its truth; `start` (x, y, ...) is relative to the datum [m]."""
-    dock = start[:2] if given.dock is None else datum.to_local(given.dock)
+def build_battery(given: BatterySettings, datum: Datum) -> tuple[Battery, TrueBattery]:
+    """Build the part on board and its truth."""
+    dock = None if given.dock is None else datum.to_local(given.dock)
     battery = Battery(dock, **arguments(given, Battery))
     return battery, TrueBattery(battery, **arguments(given, TrueBattery))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Flag, Key, Pose, Scalar, StateVector
+from jaxplore._types import ArrayLike, Flag, Key, Pose, Position, Scalar, StateVector
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.parts.battery.report import BatteryRecord, BatteryReport
@@ -26,9 +26,10 @@ DOCK_SPEED = 0.1
 
 
 class BatteryState(NamedTuple):
-    """The true battery: the energy that is left [J], and whether it is being charged."""
+    """The true battery: the energy that is left [J], its dock [m], whether it is being charged."""
 
     energy: Scalar
+    dock: Position
     is_docked: Flag
 
 
@@ -66,7 +67,10 @@ class TrueBattery(PartTruth):
 
     def bind(self, site: Site) -> "TrueBattery":
         """Check that the robot can reach its dock with its charge."""
-        battery, place = self.battery, np.asarray(self.battery.dock)
+        battery = self.battery
+        if battery.dock is None:
+            return self
+        place = np.asarray(battery.dock)
         check_goal(
             *(battery.dock, site.world, site.robot, site.reachable, DOCK_RADIUS, site.datum),
             name="dock",
@@ -83,13 +87,14 @@ class TrueBattery(PartTruth):
             )
         return self
 
-    def init_part(self, part: Battery) -> Charge:
+    def init_part(self, part: Battery, pose: Pose) -> Charge:
         """Return what the robot knows of its charge at the start."""
-        return Charge(self.charge * part.capacity, jnp.array(False))
+        return part.charged(self.charge * part.capacity, pose[:2])
 
-    def init(self) -> BatteryState:
+    def init(self, pose: Pose) -> BatteryState:
         """Return the charge at the start."""
-        return BatteryState(self.charge * self.battery.capacity, jnp.array(False))
+        known = self.init_part(self.battery, pose)
+        return BatteryState(known.energy, known.dock, jnp.array(False))
 
     def measure(
         self,
@@ -118,13 +123,13 @@ class TrueBattery(PartTruth):
         moved = robot.position(drive.after) - robot.position(drive.before)
         way = jnp.hypot(moved[0], moved[1])
         used = self.battery.consumption.energy(period, way, before, after)
-        away = robot.position(drive.after) - self.battery.dock
+        away = robot.position(drive.after) - own.dock
         is_near = jnp.hypot(away[0], away[1]) <= DOCK_RADIUS
         # A robot that has come to rest at its dock is charged until it leaves it.
         is_docked = is_near & (own.is_docked | (way <= DOCK_SPEED * period))
         charged = jnp.where(is_docked, self.power * period, 0.0)
         energy = jnp.clip(own.energy - used + charged, 0.0, self.battery.capacity)
-        return BatteryState(energy, is_docked)
+        return BatteryState(energy, own.dock, is_docked)
 
     def is_over(self, own: BatteryState) -> Flag:
         """Return whether the battery is empty."""
@@ -139,7 +144,7 @@ class TrueBattery(PartTruth):
     ) -> BatteryReport:
         """Return the dock and the numbers of the battery."""
         return BatteryReport(
-            docks=np.asarray(part.dock, np.float64).reshape(-1, 2),
+            docks=np.asarray(known.dock, np.float64).reshape(-1, 2),
             capacity=float(part.capacity) / JOULES,
             reserve=float(part.reserve),
             charge=float(self.charge),

@@ -78,7 +78,7 @@ class TrueObjects(PartTruth):
     label: Int[Array, " N"]
     num_targets: int = eqx.field(static=True)
 
-    def init_part(self, part: Recognition) -> ObjectClasses | None:
+    def init_part(self, part: Recognition, pose: Pose) -> ObjectClasses | None:
         """Return a slot for each object; None without any."""
         number = self.label.shape[0]
         return part.init_slots(number) if number else None

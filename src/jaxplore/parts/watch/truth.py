@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from jaxplore._types import GridMask, GridValues, Scalar
+from jaxplore._types import GridMask, GridValues, Pose, Scalar
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.parts.watch.report import WatchRecord, WatchReport
 from jaxplore.parts.watch.robot import IdlenessMap
@@ -23,7 +23,7 @@ class WatchTruth(PartTruth):
         """Return the judge; a search is judged by its targets, and no patrol."""
         return WatchTruth(len(site.targets) > 0)
 
-    def init(self) -> WatchRecord:
+    def init(self, pose: Pose) -> WatchRecord:
         """Return what is said at the start."""
         return WatchRecord(jnp.zeros(()), jnp.zeros(()))
 

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 
 from jaxplore import _kinds
-from jaxplore._types import Flag, Scalar, StateVector
+from jaxplore._types import Flag, Pose, Scalar, StateVector
 from jaxplore.geometry.chassis import Chassis, Stability, Stance
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.parts.wheels.report import WheelRecord, WheelReport
@@ -57,7 +57,7 @@ class Wheels(PartTruth):
     def __check_init__(self) -> None:
         _kinds.instance("chassis", self.chassis, Chassis)
 
-    def init(self) -> WheelState:
+    def init(self, pose: Pose) -> WheelState:
         """Return a vehicle that stands on level ground."""
         return WheelState(Stability(jnp.zeros(()), jnp.zeros(()), jnp.zeros(())), jnp.zeros(()))
 

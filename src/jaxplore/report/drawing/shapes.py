@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from PIL import ImageDraw
 
-from jaxplore.report.drawing.palette import FAINT, PAPER, ROBOT, STRONG, Colour
+from jaxplore.report.drawing.palette import FAINT, PAPER, REFERENCE, ROBOT, STRONG, Colour
 from jaxplore.report.drawing.picture import outline_at, pairs
 
 STRONG_SHARE = 0.02
@@ -109,6 +109,14 @@ def draw_star(
     star = STAR * surface.unit * _SPIKES
     draw.polygon(pairs(middle + 1.35 * star), PAPER)
     draw.polygon(pairs(middle + star), colour)
+
+
+def draw_goal(surface: Surface, draw: ImageDraw.ImageDraw, goal: np.ndarray) -> None:
+    """Draw a goal (2,) [m] as rings."""
+    x, y = surface.pixels(goal)
+    for size, colour in ((7.0, REFERENCE), (4.0, PAPER), (2.0, REFERENCE)):
+        reach = size * surface.unit
+        draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour)
 
 
 def draw_targets(

@@ -37,7 +37,13 @@ from jaxplore.report.drawing.palette import (
     fit_palette,
 )
 from jaxplore.report.drawing.picture import WIDTH, pairs
-from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts, draw_targets
+from jaxplore.report.drawing.shapes import (
+    draw_body,
+    draw_goal,
+    draw_line,
+    draw_rollouts,
+    draw_targets,
+)
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.legend import mission_colours
@@ -139,10 +145,7 @@ def _draw_robot(
         _draw_dashes(canvas, draw, frame.reference)
     line(frame.plan, PLAN, 2.0)
     if recording.goal is not None:
-        x, y = canvas.pixels(recording.goal)
-        for size, colour in ((7.0, REFERENCE), (4.0, PAPER), (2.0, REFERENCE)):
-            reach = size * canvas.unit
-            draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour)
+        draw_goal(canvas, draw, recording.goal)
     footprint, radius = recording.footprint, recording.robot_radius
     draw_body(canvas, draw, footprint, radius, here, frame.heading)
 

@@ -1,14 +1,12 @@
 """Compute the metrics of an exploration run from its recording."""
 
-from typing import Any
-
 import numpy as np
 
-from jaxplore.control.stops import REASONS
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
 from jaxplore.report._numbers import finite, finite_mean
 from jaxplore.report.coverage_levels import at_instants, reach_levels
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.guard import guard_metrics
 from jaxplore.report.exploration.localisation import localisation_metrics
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.mission_metrics import mission_curves, mission_metrics
@@ -22,7 +20,6 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, coverage, entropy, path = progress(recording)
     in_contact = np.asarray(records.is_collision, bool)
-    stops, stopped_steps = _stops(records.stop)
     sample_size = np.asarray(records.effective_sample_size, np.float64)
     sample_size = sample_size[np.isfinite(sample_size)]
     unknown = at_instants(records.unknown, recording.initial_unknown)
@@ -57,8 +54,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
             records.control, recording.control_half_range, recording.control_period
         ),
         fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
-        stops=stops,
-        stopped_steps=stopped_steps,
+        **guard_metrics(records.stop),
         collisions=episodes(in_contact),
         collision_steps=int(in_contact.sum()),
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
@@ -75,15 +71,6 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         longest_stall=longest_stall(recording.positions, coverage) * period,
         coverage_curve=thin_series(curve, period),
     )
-
-
-def _stops(stop: Any) -> tuple[dict[str, int], int]:
-    """Return the number of stops of the guard by reason, and the number of steps of all."""
-    if stop is None:
-        return {}, 0
-    codes = np.asarray(stop)
-    numbers = {reason: episodes(codes == code) for code, reason in enumerate(REASONS) if code > 0}
-    return {reason: number for reason, number in numbers.items() if number}, int((codes > 0).sum())
 
 
 def _find_finish(recording: ExplorationData, coverage: float) -> float | None:

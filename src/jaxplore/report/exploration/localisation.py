@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.data import ExplorationData, LocalisationData
 from jaxplore.report.exploration.progress import find_carried_steps
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.localisation import (
@@ -51,17 +51,12 @@ def localisation_metrics(recording: ExplorationData) -> dict[str, Any]:
     def grid(values: np.ndarray) -> OccupancyGrid:
         return OccupancyGrid(np.asarray(values, np.float32), side, origin.tolist())
 
-    # On a known map there are no loops, and poses are in its frame.
     is_own = found.num_loops is not None
     motion = align(found.true_poses, found.poses) if is_own else SAME_FRAME
-    alignment = None if is_own else SAME_FRAME
-    relative = relative_error(found.true_poses, found.poses, RPE_LENGTH)
     agreement = map_agreement(grid(found.reference), grid(recording.belief), motion)
     return {
         **_recovery(recording),
-        "ate": absolute_error(found.true_poses, found.poses, alignment).rms,
-        "odometry_ate": absolute_error(found.true_poses, found.reckoned, alignment).rms,
-        "rpe": None if relative is None else relative.translation,
+        **trajectory_errors(found),
         "map_iou": agreement.iou,
         "double_walls": agreement.double_walls,
         "aligned_coverage": aligned_coverage(
@@ -73,6 +68,18 @@ def localisation_metrics(recording: ExplorationData) -> dict[str, Any]:
         if is_own
         else None,
         "num_loops": found.num_loops,
+    }
+
+
+def trajectory_errors(found: LocalisationData) -> dict[str, float | None]:
+    """Return the errors of the poses at the stored scans, as in `ExplorationMetrics`."""
+    # On a known map there are no loops, and poses are in its frame.
+    alignment = SAME_FRAME if found.num_loops is None else None
+    relative = relative_error(found.true_poses, found.poses, RPE_LENGTH)
+    return {
+        "ate": absolute_error(found.true_poses, found.poses, alignment).rms,
+        "odometry_ate": absolute_error(found.true_poses, found.reckoned, alignment).rms,
+        "rpe": None if relative is None else relative.translation,
     }
 
 

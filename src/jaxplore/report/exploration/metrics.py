@@ -4,6 +4,7 @@ import dataclasses
 
 from jaxplore.report._numbers import numbers, percent, text
 from jaxplore.report.coverage_levels import LEVELS
+from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics
 from jaxplore.report.exploration.mission_metrics import (
     TARGET_COLUMNS,
     TARGET_CURVE,
@@ -13,7 +14,7 @@ from jaxplore.report.metrics import Column, Curve
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ExplorationMetrics(MissionMetrics):
+class ExplorationMetrics(MissionMetrics, GuardMetrics):
     """Metrics of an exploration run.
 
     Args:
@@ -40,8 +41,6 @@ class ExplorationMetrics(MissionMetrics):
             commands, `(u_{t+1} - 2 u_t + u_{t-1}) / period^2`, in halves of the range between
             their bounds [1/s^2].
         fault_steps: steps during which a fault of the scenario was active.
-        stops: number of times that the guard stopped the robot, by reason; empty if it never did.
-        stopped_steps: number of steps in which it was stopped.
         collisions: contacts; successive steps in contact are one.
         collision_steps: number of steps that would have led to a collision.
         minimum_clearance: least distance from the robot's edge to the nearest solid cell [m], up to
@@ -92,8 +91,6 @@ class ExplorationMetrics(MissionMetrics):
     goal_distance: float | None
     command_jerk: float | None
     fault_steps: int
-    stops: dict[str, int] = dataclasses.field(default_factory=dict)
-    stopped_steps: int = 0
     collisions: int
     collision_steps: int
     minimum_clearance: float | None
@@ -150,7 +147,7 @@ class ExplorationMetrics(MissionMetrics):
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
         ),
         Column.total("fault_steps", "faults [steps]", applies=lambda total: total > 0),
-        Column.total("stopped_steps", "stopped [steps]", applies=lambda total: total > 0),
+        GUARD_COLUMN,
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("command_jerk", "jerk [1/s²]", digits=0),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
@@ -202,8 +199,7 @@ class ExplorationMetrics(MissionMetrics):
             *numbers("sample size", "{:.1f} effective, {:.1f} at least", *sizes),
             ("non-finite", f"{self.non_finite_steps} steps"),
             *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
-            *([("stopped", f"{self.stopped_steps} steps")] if self.stops else []),
-            *((f"  {reason}", f"{number} times") for reason, number in self.stops.items()),
+            *self.guard_rows(),
             *self._member_rows(),
             *self.last_rows(),
         ]

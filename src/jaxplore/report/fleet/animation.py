@@ -21,12 +21,13 @@ from jaxplore.report.drawing.palette import (
     LEVEL,
     PALE,
     PAPER,
+    REFERENCE,
     TRAIL,
     Colour,
     fit_palette,
 )
 from jaxplore.report.drawing.picture import WIDTH
-from jaxplore.report.drawing.shapes import LEAST_RADIUS, draw_line, draw_targets
+from jaxplore.report.drawing.shapes import LEAST_RADIUS, draw_goal, draw_line, draw_targets
 from jaxplore.report.exploration.legend import mission_colours, mission_entries
 from jaxplore.report.exploration.map_canvas import MapCanvas, make_map_canvas
 from jaxplore.report.exploration.progress import is_known_map
@@ -62,7 +63,7 @@ def compute_palette(data: FleetData, pictures: Sequence[Image.Image]) -> Image.I
     """Compute the palette that all frames share from some of them, with the robots' colours."""
     lines: list[Colour] = [robot_colour(i) for i in range(min(data.num_robots, len(SERIES)))]
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, TRAIL, LINK]
-    given += [*lines, *mission_colours(data)]
+    given += [*lines, *mission_colours(data), *([] if data.goal is None else [REFERENCE])]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
     return fit_palette(given, pictures)
 
@@ -101,6 +102,8 @@ def _draw_robots(
     for i, j in np.argwhere(np.triu(frame.links)):
         draw_line(canvas, draw, frame.positions[[i, j]], LINK, 1.0)
     draw_targets(canvas, draw, data.targets, frame.is_found, TARGET)
+    if data.goal is not None:
+        draw_goal(canvas, draw, data.goal)
     for each in data.parts.values():
         each.draw(canvas, draw, data, frame)
     for number, plan in enumerate(frame.plans):
@@ -128,4 +131,5 @@ def _legend(data: FleetData) -> tuple[Entry, ...]:
     ]
     link = [Entry("radio", LINK, "line")] if data.num_robots > 1 else []
     hidden = [] if is_known_map(data) else [Entry("unseen wall", HIDDEN_WALL)]
-    return (*robots, *link, *mission_entries(data), *hidden, Entry("unknown", UNKNOWN))
+    goal = [] if data.goal is None else [Entry("goal", REFERENCE, "disc")]
+    return (*robots, *link, *goal, *mission_entries(data), *hidden, Entry("unknown", UNKNOWN))

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.maps.datum import move_points
 from jaxplore.report.coverage_levels import at_instants
+from jaxplore.report.exploration.data import LocalisationData
 from jaxplore.report.exploration.mission import MissionData, MissionFrame
 from jaxplore.report.recording import LiveCurves
 
@@ -35,6 +36,11 @@ class FleetRecord(NamedTuple):
         targets_seen: number of targets that some robot had found; None without targets.
         parts: record of each part of the robots that has one, by its name: of each robot (N,), or
             of what all know together.
+        stop: (N,) why the guard of each robot stopped it in the step, an index into
+            `control.stops.REASONS`; 0 if it did not, None without guards.
+        pose_error: (N,) distance of each robot from where it takes itself to be [m]; None if the
+            robots know their poses, as is the one below.
+        uncertainty: (N,) standard deviation of its position by its own estimate [m].
     """
 
     state: StateVector
@@ -51,6 +57,9 @@ class FleetRecord(NamedTuple):
     links: Count
     parts: dict[str, Any]
     targets_seen: Count | None = None
+    stop: Int[Array, " N"] | None = None
+    pose_error: Float[Array, " N"] | None = None
+    uncertainty: Float[Array, " N"] | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -104,6 +113,8 @@ class FleetData(MissionData):
         state_names: names of the components of the state.
         radii: (N,) radii of the robots [m].
         coordination: how the robots divided the places among themselves.
+        localisation: where each robot took itself to be; None if they knew their poses.
+        goal: (2,) goal position of all robots [m]; None if there is no goal.
     """
 
     records: FleetRecord
@@ -113,12 +124,20 @@ class FleetData(MissionData):
     state_names: tuple[str, ...]
     radii: np.ndarray
     coordination: str
+    localisation: tuple[LocalisationData, ...] | None = None
+    goal: np.ndarray | None = None
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
         return {
             "records": move_records(self.records, offset, self.state_names),
             "start": move_states(self.start, offset, self.state_names),
+            "goal": None if self.goal is None else move_points(self.goal, offset),
+            "localisation": (
+                None
+                if self.localisation is None
+                else tuple(each.move(offset) for each in self.localisation)
+            ),
             **self.move_mission(offset),
         }
 

@@ -2,11 +2,14 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
-from jaxplore.report._numbers import finite, percent, text
+from jaxplore.report._numbers import finite, numbers, percent, text
 from jaxplore.report.coverage_levels import LEVELS, describe_levels, reach_levels
+from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics, guard_metrics
+from jaxplore.report.exploration.localisation import trajectory_errors
 from jaxplore.report.exploration.mission_metrics import (
     TARGET_COLUMNS,
     TARGET_CURVE,
@@ -21,7 +24,7 @@ from jaxplore.report.motion import episodes
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FleetMetrics(MissionMetrics):
+class FleetMetrics(MissionMetrics, GuardMetrics):
     """Metrics of an exploration by a fleet.
 
     Args:
@@ -42,6 +45,15 @@ class FleetMetrics(MissionMetrics):
         minimum_clearance: least distance from a robot's edge to a solid cell or another robot [m].
         exchanged: size of all messages with maps and ways [bytes].
         linked: share of the pairs of robots that heard each other, mean over the steps.
+        goal_distance: distance of the nearest robot from the goal at the end [m]; None if there is
+            no goal.
+        ates: absolute trajectory error of each robot (N,), as `ExplorationMetrics.ate` [m]; empty
+            if the robots knew their poses, as is the one below.
+        odometry_ates: the same error of its odometry alone (N,) [m].
+        position_errors: root mean square over the steps of the distance of each robot from where it
+            takes itself to be (N,) [m]. The frame is that of all robots: nothing is aligned.
+        ate: the greatest of the `ates` [m]; None if the robots knew their poses.
+        num_loops: number of loops that all robots closed; None on a known map.
         is_map_known: whether the map was known in advance, so that coverage says nothing.
         least_coverage: coverage of the map of the robot that knows the least at the end.
         mean_effective_sample_size: mean effective sample size.
@@ -67,6 +79,12 @@ class FleetMetrics(MissionMetrics):
     least_coverage: float
     mean_effective_sample_size: float | None
     coverage_curve: dict[str, list[float | None]]
+    goal_distance: float | None = None
+    ates: tuple[float | None, ...] = ()
+    odometry_ates: tuple[float | None, ...] = ()
+    position_errors: tuple[float, ...] = ()
+    ate: float | None = None
+    num_loops: int | None = None
 
     columns = (
         Column.num_finished(),
@@ -81,6 +99,14 @@ class FleetMetrics(MissionMetrics):
         Column.total("contacts", "contacts"),
         Column.total(
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
+        ),
+        GUARD_COLUMN,
+        Column.quartiles(
+            "ate",
+            "trajectory error [m]",
+            digits=3,
+            missing=math.nan,
+            applies=lambda spread: math.isfinite(spread[1]),
         ),
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("exchanged", "exchanged [MB]", digits=2, scale=1e-6),
@@ -101,9 +127,14 @@ class FleetMetrics(MissionMetrics):
         """Return the main metrics as (name, text)."""
         each = ", ".join(f"{metres:.1f}" for metres in self.path_lengths)
         return [
-            self.duration_row(has_end=self.target_coverage is not None or self.num_targets > 0),
+            self.duration_row(
+                has_end=self.target_coverage is not None
+                or self.num_targets > 0
+                or self.goal_distance is not None
+            ),
             ("robots", f"{self.num_robots}, coordination: {self.coordination}"),
             *self._coverage_rows(),
+            *numbers("goal", "{:.2f} m away", self.goal_distance),
             *self.mission_rows(),
             ("path", f"{self.path_length:.1f} m: {each}"),
             ("contacts", f"{self.contacts} between robots, {self.collisions} with walls"),
@@ -112,10 +143,24 @@ class FleetMetrics(MissionMetrics):
                 if self.untraversable_steps
                 else []
             ),
+            *self.guard_rows(),
+            *self._localisation_rows(),
             ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
             ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
             *self.last_rows(),
         ]
+
+    def _localisation_rows(self) -> list[tuple[str, str]]:
+        if not self.ates:
+            return []
+        rows = [
+            ("position error", f"{', '.join(text(each, 3) for each in self.position_errors)} m"),
+            ("trajectory error", f"{', '.join(text(each, 3) for each in self.ates)} m"),
+            ("  of odometry", f"{', '.join(text(each, 2) for each in self.odometry_ates)} m"),
+        ]
+        if self.num_loops is not None:
+            rows.append(("loops", f"{self.num_loops} closed"))
+        return rows
 
     def _coverage_rows(self) -> list[tuple[str, str]]:
         if self.is_map_known:
@@ -154,8 +199,36 @@ def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics
         linked=float(np.mean(records.links) / pairs) if pairs and data.num_steps else None,
         untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
         **mission_metrics(data),
+        **guard_metrics(records.stop),
+        goal_distance=(
+            None
+            if data.goal is None
+            else float(np.hypot(*(data.last_positions - data.goal).T).min())
+        ),
+        **_localisation_metrics(data),
         is_map_known=is_known_map(data),
         least_coverage=float(data.coverages[:, -1].min()),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
         coverage_curve=thin_series({**curve, **mission_curves(data), **robots}, period),
     )
+
+
+def _localisation_metrics(data: FleetData) -> dict[str, Any]:
+    """Return the metrics of the localisation of all robots; nothing if they knew their poses."""
+    if data.localisation is None:
+        return {}
+    errors = [trajectory_errors(each) for each in data.localisation if len(each.poses)]
+    if not errors or data.records.pose_error is None or not data.num_steps:
+        return {}
+    squares = np.square(np.asarray(data.records.pose_error, np.float64))
+    ates = tuple(each["ate"] for each in errors)
+    loops = [each.num_loops for each in data.localisation if each.num_loops is not None]
+    return {
+        "ates": ates,
+        "odometry_ates": tuple(each["odometry_ate"] for each in errors),
+        "position_errors": tuple(
+            float(each) for each in np.sqrt(np.nanmean(squares, axis=0)).reshape(-1)
+        ),
+        "ate": max(each for each in ates if each is not None),
+        "num_loops": sum(loops) if loops else None,
+    }

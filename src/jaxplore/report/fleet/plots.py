@@ -8,6 +8,7 @@ from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.drawing.colours import belief_colours
 from jaxplore.report.drawing.palette import INK
 from jaxplore.report.drawing.series import line_style, style_time
+from jaxplore.report.exploration.localisation import ESTIMATE
 from jaxplore.report.exploration.map_axes import (
     add_outline,
     map_figure_axes,
@@ -46,6 +47,15 @@ def map_figure(data: FleetData) -> "Figure":
         axes.plot(*placed.T, linewidth=1.6, label=name, zorder=4.0, **style)
         axes.plot(*placed[0], marker="o", markersize=7.0, color=style["color"], **marks)
         axes.plot(*placed[-1], marker="s", markersize=8.0, color=style["color"], **marks)
+        if data.localisation is not None:
+            place = data.localisation[number].poses[:, :2]
+            track = window.place(place) + window.corner
+            axes.plot(*track.T, linestyle="--", linewidth=1.0, color=ESTIMATE, zorder=4.5)
+    if data.localisation is not None:
+        axes.plot([], [], linestyle="--", linewidth=1.0, color=ESTIMATE, label="estimated ways")
+    if data.goal is not None:
+        spot = (window.place(data.goal[None]) + window.corner)[0]
+        axes.plot(*spot, marker="*", markersize=12.0, color="#e9a23b", label="goal", **marks)
     for marker, name in (("o", "start"), ("s", "end")):
         axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
     add_ground(axes, data, window)

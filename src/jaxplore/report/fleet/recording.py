@@ -75,6 +75,8 @@ class FleetRecording(FleetData, Recording):
         `beliefs` (N, H, W) in 256 levels, `reachable` (H, W), `origin`, `resolution`,
         `control_period`, `start`, `state_names`, `radii` (N,) [m] and `targets` (M, 2) [m]; each
         field of the record of a part, and `PartReport.arrays`.
+        Where the robots found their poses also `true_poses_1` and `estimated_poses_1` (K, 3) of the
+        first robot at its stored scans, and so on.
         """
         steps = super().arrays()
         del steps["parts"]
@@ -92,4 +94,13 @@ class FleetRecording(FleetData, Recording):
             "state_names": np.asarray(self.state_names, np.str_),
             "radii": self.radii,
             "targets": self.targets,
+            **self._place_arrays(),
         }
+
+    def _place_arrays(self) -> dict[str, np.ndarray]:
+        """Return the poses at the stored scans of each robot i, if they found them."""
+        found = {}
+        for number, each in enumerate(self.localisation or (), start=1):
+            found[f"true_poses_{number}"] = each.true_poses
+            found[f"estimated_poses_{number}"] = each.poses
+        return found

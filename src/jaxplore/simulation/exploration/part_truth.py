@@ -88,16 +88,21 @@ class PartTruth(eqx.Module):
         """
         return self
 
-    def init_part(self, part: Any) -> Any:
+    def init_part(self, part: Any, pose: Pose) -> Any:
         """Return the state of the robot's part before the first scan; None for `Part.init`.
 
         Args:
             part: the robot's part; None without one, here and below.
+            pose: true pose (x, y, yaw) at the start [m, m, rad].
         """
         return None
 
-    def init(self) -> Any:
-        """Return the state at the start; None without any."""
+    def init(self, pose: Pose) -> Any:
+        """Return the state at the start; None without any.
+
+        Args:
+            pose: true pose (x, y, yaw) [m, m, rad].
+        """
         return None
 
     def measure(

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -20,6 +20,7 @@ from jaxplore._types import (
     Flag,
     GridMask,
     Key,
+    Pose,
     Position,
     Rows,
     Scalar,
@@ -406,8 +407,9 @@ class ExplorationScenario(Scenario):
     def init(self, key: Key | None) -> tuple[ExplorationState, Belief]:
         """Return the initial state, and the belief with the prior map."""
         belief = self.perception.init(self.map_arrays.prior, self.robot.pose(self.start))
+        begin = self.robot.pose(self.start)
         for each in self.truths:
-            own = each.init_part(self.perception.part_named(each.name))
+            own = each.init_part(self.perception.part_named(each.name), begin)
             if own is not None:
                 belief = belief.with_parts({each.name: own})
         moving = self.moving_obstacles
@@ -429,7 +431,7 @@ class ExplorationScenario(Scenario):
             pose=pose,
             is_guarded=self.guard is not None,
             is_on_hills=self.perception.ground is not None,
-            truths={each.name: own for each in self.truths if (own := each.init()) is not None},
+            truths=self._init_truths(begin),
             place=place,
             odometer=odometer,
         )._replace(
@@ -437,6 +439,11 @@ class ExplorationScenario(Scenario):
             control=self.robot.default_control if is_any_turning(self.sensors) else None,
         )
         return state, state.belief
+
+    def _init_truths(self, pose: Pose) -> dict[str, Any]:
+        """Return the states of the truths of parts at the start."""
+        states = {each.name: each.init(pose) for each in self.truths}
+        return {name: own for name, own in states.items() if own is not None}
 
     def measure_state(self, state: ExplorationState) -> StateVector:
         """Return the state (nx,) that the robot takes to be its own; see `Localisation`."""
@@ -454,25 +461,36 @@ class ExplorationScenario(Scenario):
 
     def update_on_host(self, state: LoopState) -> LoopState:
         """Return the state with the map moved where a loop was closed."""
-        task: ExplorationState = state.task
+        task, guard = self.close_loops(state.task), state.guard
+        moved = self.correction(state.task, task)
+        if guard is not None:
+            # The correction is no jump of the robot.
+            guard = guard._replace(expected=moved(guard.expected))
+        return state._replace(task=task, observed=moved(state.observed), guard=guard)
+
+    def close_loops(self, task: ExplorationState) -> ExplorationState:
+        """Return the state of the task with the map moved where a loop was closed, on the host."""
         before, track = task.own.place, task.judged.track
         if self.localisation is None or before is None or track is None:
-            return state
+            return task
         place, belief = self.localisation.close_loops(
             *(before, task.belief, self.perception, self.map_arrays.prior),
             self.robot.pose(self.start),
         )
         if int(place.known.scans.number) < int(before.known.scans.number):
             track = thin(track)
-        poses = before.known.pose, place.known.pose
-        moved = functools.partial(correct_state, self.robot, before=poses[0], after=poses[1])
-        guard = state.guard
-        if guard is not None:
-            # The correction is no jump of the robot.
-            guard = guard._replace(expected=moved(guard.expected))
         own = task.own._replace(place=place, belief=belief)
-        task = task._replace(own=own, judged=task.judged._replace(track=track))
-        return state._replace(task=task, observed=moved(state.observed), guard=guard)
+        return task._replace(own=own, judged=task.judged._replace(track=track))
+
+    def correction(
+        self, before: ExplorationState, after: ExplorationState
+    ) -> Callable[[StateVector], StateVector]:
+        """Return the function that moves a state (nx,) as `close_loops` has moved the robot."""
+        places = before.own.place, after.own.place
+        if places[0] is None or places[1] is None:
+            return lambda state: state
+        poses = places[0].known.pose, places[1].known.pose
+        return functools.partial(correct_state, self.robot, before=poses[0], after=poses[1])
 
     def perceive(
         self, state: ExplorationState, moment: Moment, key: Key
@@ -585,26 +603,31 @@ class ExplorationScenario(Scenario):
             stop=moment.stop,
             truths=self.truths,
         )
-        own, odometer, judged = state.own, state.odometer, state.judged
-        if self.localisation is not None and own.place is not None and odometer is not None:
-            poses = self.robot.pose(state.robot), self.robot.pose(record.state)
-            increment, odometer = odometer.measure(
-                self.localisation.odometry, *poses, moment.step, self.control_period
-            )
-            place = self.localisation.predict(own.place, increment, self.control_period)
-            own = own._replace(place=place)
-            if judged.track is not None:
-                judged = judged._replace(track=judged.track.add_motion(increment))
+        state = self.follow_odometry(state, record.state, moment.step)
         if self.faults is not None and state.landing is not None:
             # After the odometry has measured the step: it does not notice.
             is_carried = self.faults.is_carried(moment.time, self.control_period)
             record = carry(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
-        state = state.after_step(record.state, control)._replace(
-            own=own, judged=judged, motion=motion, truths=truths, odometer=odometer
-        )
+        state = state.after_step(record.state, control)._replace(motion=motion, truths=truths)
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+
+    def follow_odometry(
+        self, state: ExplorationState, after: StateVector, step: Count
+    ) -> ExplorationState:
+        """Return what a robot that finds its pose knows after a step to a true state (nx,)."""
+        own, odometer, judged = state.own, state.odometer, state.judged
+        if self.localisation is None or own.place is None or odometer is None:
+            return state
+        poses = self.robot.pose(state.robot), self.robot.pose(after)
+        increment, odometer = odometer.measure(
+            self.localisation.odometry, *poses, step, self.control_period
+        )
+        place = self.localisation.predict(own.place, increment, self.control_period)
+        if judged.track is not None:
+            judged = judged._replace(track=judged.track.add_motion(increment))
+        return state._replace(own=own._replace(place=place), judged=judged, odometer=odometer)
 
     def is_unfinished(self, state: ExplorationState) -> Flag:
         """Check whether the loop continues: until the task is given up or finished, plus the hover
@@ -626,12 +649,19 @@ class ExplorationScenario(Scenario):
         Args:
             state: the task's state, with the map that the robot knows in `belief.grid`.
         """
-        check, is_there = self.goal_check, None
-        if check is not None:
-            # A robot that finds its pose is where it takes itself to be.
-            is_there = check.is_reached(self.robot.pose(self.measure_state(state)), state.motion)
+        is_there = self.is_at_goal(state)
         end = (self.ends_by, self.target_coverage, state.own.knowledge, is_there, self.max_unknown)
         return is_finished(state.progress, state.is_seen, *end, counts_walls=self.counts_walls)
+
+    def is_at_goal(self, state: ExplorationState) -> Flag | None:
+        """Check whether the robot is at its goal (`GoalCheck`); None without a goal."""
+        check = self.goal_check
+        if check is None:
+            return None
+        # A robot that finds its pose is where it takes itself to be.
+        pose = self.robot.pose(self.measure_state(state))
+        is_reached: Flag = check.is_reached(pose, state.motion)
+        return is_reached
 
     def is_given_up(self, state: ExplorationState) -> Flag:
         """Check whether the exploration is given up, as the class says.

@@ -51,6 +51,19 @@ def check_members(
                 f"truths of robots[{index}] are {names[0]}; accepted: those of robots[0], "
                 f"{names[1]}"
             )
+        ends = [
+            None if one.goal is None else np.asarray(one.goal).tolist() for one in (each, first)
+        ]
+        if ends[0] != ends[1]:
+            raise ValueError(
+                f"goal of robots[{index}] is {ends[0]}; accepted: that of robots[0], {ends[1]}"
+            )
+        for name in ("guard", "localisation"):
+            if (getattr(each, name) is None) != (getattr(first, name) is None):
+                raise ValueError(
+                    f"{name} of robots[{index}] differs; accepted: as robots[0], with one or "
+                    "without"
+                )
         names = [[part.name for part in one.perception.parts] for one in (each, first)]
         if names[0] != names[1]:
             raise ValueError(
@@ -67,22 +80,15 @@ def check_members(
 
 def _check_supported(index: int, one: ExplorationScenario) -> None:
     """Raise a `ValueError` if a fleet does not support what an exploration has."""
-    perception = one.perception
-    parts = {
-        "goal": one.goal,
-        "guard": one.guard,
-        "variation": one.variation,
-        "localisation": one.localisation,
-        "faults.carried_at": None if one.faults is None else one.faults.carried_at,
-    }
-    for name, part in parts.items():
-        if part is not None:
-            raise ValueError(f"{name} of robots[{index}] is given; accepted in a fleet: none")
+    if one.faults is not None and one.faults.carried_at is not None:
+        raise ValueError(
+            f"faults.carried_at of robots[{index}] is given; accepted in a fleet: none"
+        )
     if one.target == "walls":
         raise ValueError(
             f"target of robots[{index}] is {one.target!r}; accepted in a fleet: 'coverage', 'never'"
         )
-    for each in perception.parts:
+    for each in one.perception.parts:
         each.check_fleet()
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._equal_objects import Alike
-from jaxplore._types import Count, Scalar, StateVector
+from jaxplore._types import Count, GridMask, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.plans import Plans
 from jaxplore.control.base import Info
@@ -109,7 +109,7 @@ class Talk(NamedTuple):
         rows = self.share.gather(
             [
                 (
-                    each.belief.grid.is_free,
+                    _free_cells(each),
                     each.progress.coverage,
                     each.is_seen,
                     {truth.name: each.belief.parts[truth.name] for truth in judging},
@@ -126,7 +126,13 @@ class Talk(NamedTuple):
         now = jnp.zeros(()) if time is None else time
         known_parts = gather_parts(first, [row[3] for row in rows])
         judged = {
-            each.name: each.judge(each.init(), known_parts[each.name], reachable, number, now)
+            each.name: each.judge(
+                each.init(first.robot.pose(first.start)),
+                known_parts[each.name],
+                reachable,
+                number,
+                now,
+            )
             for each in judging
         }
         return Known(found / number, jnp.stack([row[1] for row in rows]), is_seen, judged)
@@ -162,7 +168,7 @@ class Talk(NamedTuple):
         # is due then, and the next update of fields reads the merged map.
         is_due = moment.step % every == jnp.maximum(every - 2, 0)
         team = state.team
-        observed = self.robot.split_state(moment.observed)
+        observed = self.robot.split_state(known_states(moment))
         poses = [one.robot.pose(each) for one, each in zip(self.members, observed, strict=True)]
 
         def meet(given: Any) -> Any:
@@ -194,13 +200,14 @@ class Talk(NamedTuple):
     def tell_when_due(self, state: FleetState, team: Team, moment: Moment) -> FleetState:
         """Let the robots tell their positions, velocities and plans after each scan, and count what
         they know together."""
-        observed = self.robot.split_state(moment.observed)
+        observed = self.robot.split_state(known_states(moment))
         places = jnp.stack(
             [one.robot.position(each) for one, each in zip(self.members, observed, strict=True)]
         )
 
         def tell(known: tuple[Obstacles, ...], *_: Any) -> Any:
             links = self.links(state, moment)
+            velocities = self._told_velocities(state, observed, team)
             near = self._may_meet(places, team.plans)
             after = []
             for index, obstacles in zip(self.share.mine, known, strict=True):
@@ -214,7 +221,7 @@ class Talk(NamedTuple):
 
                 heard = jnp.concatenate([jnp.zeros(rest, bool), is_heard])
                 zero = jnp.zeros(())
-                told = obstacles.update(rows(places), rows(team.velocities), heard, zero, zero)
+                told = obstacles.update(rows(places), rows(velocities), heard, zero, zero)
                 assert told.plans is not None
                 plans = told.plans.update(rows(team.plans), heard)
                 after.append(dataclasses.replace(told, plans=plans))
@@ -242,6 +249,22 @@ class Talk(NamedTuple):
             team=team,
         )
 
+    def _told_velocities(
+        self, state: FleetState, known: Sequence[Array], team: Team
+    ) -> Float[Array, "N 2"]:
+        """Return the velocities (N, 2) [m/s] that the robots tell: they measure their speeds, and
+        turn them by the headings that they take themselves to have, of the states `known`."""
+        if self.members[0].localisation is None:
+            return team.velocities
+        true, models = self.robot.split_state(state.robot), self.robot.robots
+        turns = [
+            one.heading(here) - one.heading(there)
+            for one, here, there in zip(models, known, true, strict=True)
+        ]
+        cos, sin = jnp.cos(jnp.stack(turns)), jnp.sin(jnp.stack(turns))
+        x, y = team.velocities.T
+        return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+
     def _may_meet(
         self, places: Float[Array, "N 2"], plans: Float[Array, "N S 2"]
     ) -> Bool[Array, "N N"]:
@@ -261,18 +284,37 @@ class Talk(NamedTuple):
         self,
         team: Team,
         before: StateVector,
-        moved: Sequence[Array],
+        after: StateVector,
+        known: StateVector,
         step: Count,
         info: Info,
     ) -> Team:
-        """Return the velocities of the step, and before a scan the plans that will be told."""
-        joint = jnp.concatenate(list(moved))
-        change = self.robot.positions(joint) - self.robot.positions(before)
+        """Return the velocities of the step, and before a scan the plans that will be told.
+
+        `before` and `after` (nx,) are the true states before and after the step, `known` (nx,)
+        those in which the robots take themselves to be after it.
+        """
+        change = self.robot.positions(after) - self.robot.positions(before)
         is_due = (step + 1) % self.members[0].steps_per_scan == 0
 
         def plan(_: Array) -> Array:
             size = self.plan_length + 1
-            return predict_positions(self.robot, moved, info.controls, size, self.plan_step)
+            states = self.robot.split_state(known)
+            return predict_positions(self.robot, states, info.controls, size, self.plan_step)
 
         plans = jax.lax.cond(is_due, plan, lambda same: same, team.plans)
         return team._replace(plans=plans, velocities=change / self.members[0].control_period)
+
+
+def known_states(moment: Moment) -> StateVector:
+    """Return the states (nx,) in which the robots take themselves to be, which they tell."""
+    # A guard that does not trust what its robot observes still expects it somewhere.
+    states: StateVector = moment.observed if moment.guard is None else moment.guard.expected
+    return states
+
+
+def _free_cells(state: ExplorationState) -> GridMask:
+    """Return the cells (H, W) that count as known to be free by a robot: those of the map of its
+    scans at their true poses, if it finds its pose itself."""
+    grid, track = state.belief.grid, state.judged.track
+    return grid.is_free if track is None else grid.with_probability(track.reference).is_free

@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxplore._trees import stack_trees
 from jaxplore.control.base import Info
 from jaxplore.control.fleet_share import Share
+from jaxplore.dynamics.base import Dynamics
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -17,7 +18,7 @@ from jaxplore.simulation.state import Moment
 
 
 def moves(
-    scenarios: Sequence[ExplorationScenario],
+    robots: Sequence[tuple[ExplorationScenario, Dynamics]],
     share: Share,
     members: Sequence[ExplorationState],
     before: Sequence[Array],
@@ -29,20 +30,21 @@ def moves(
 
     Return the record of each, and the states of the truths of its parts.
 
-    Every process moves all robots. Of one that another process computes, nothing but the record's
-    state, clearance and collision is meant. `members` are the states of the robots of `share`,
-    which this process computes.
+    `robots` are the exploration and the true model of each. Every process moves all robots. Of one
+    that another process computes, nothing but the record's state, clearance and collision is meant.
+    `members` are the states of the robots of `share`, which this process computes.
     """
     here = dict(zip(share.mine, members, strict=True))
     records = []
-    for index, (one, robot, control) in enumerate(zip(scenarios, before, controls, strict=True)):
+    given = zip(robots, before, controls, strict=True)
+    for index, ((one, true_robot), robot, control) in enumerate(given):
         # What is read of another state than the robot's is the same for equal robots.
         each = here.get(index, members[0])._replace(robot=robot)
-        period = scenarios[0].control_period
+        period = robots[0][0].control_period
         # What moves does so during the step as well, so contact is with where it is at its end.
         truth = one.true_world(each, moment._replace(time=moment.time + period))
         moved = move(
-            one.robot,
+            true_robot,
             each,
             control,
             truth,
@@ -67,5 +69,12 @@ def stack_parts(
     apart = [
         {name: each for name, each in one.parts.items() if name not in together} for one in records
     ]
-    stacked: dict[str, Any] = jax.tree.map(lambda *each: jnp.stack(each), *apart)
-    return {**stacked, **together}
+    return {**stack_trees(apart), **together}
+
+
+def stack_errors(records: Sequence[ExplorationRecord]) -> dict[str, Array]:
+    """Return the fields (N,) of a `FleetRecord` of robots that find their pose."""
+    rows = {
+        name: [getattr(each, name) for each in records] for name in ("pose_error", "uncertainty")
+    }
+    return {name: jnp.stack(each) for name, each in rows.items() if each[0] is not None}

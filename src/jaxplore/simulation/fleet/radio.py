@@ -294,6 +294,9 @@ def exchange(
             grid=state.belief.grid.with_probability(probability),
             clearance=dataclasses.replace(state.belief.clearance, values=clearance),
         )
+        if state.judged.track is not None:
+            # Its coverage is that of its own scans at their true poses.
+            sums = state.judged.sums
         progress = map_progress(sums, belief.grid)
         judged = state.judged._replace(sums=sums, progress=progress)
         after.append(state.with_belief(belief)._replace(judged=judged))

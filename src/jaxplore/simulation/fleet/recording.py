@@ -12,6 +12,7 @@ from jaxplore._types import GridValues
 from jaxplore.control.base import SampledPlan
 from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation, extent
+from jaxplore.report.exploration.data import LocalisationData
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
@@ -109,7 +110,20 @@ def make_recording(
         elevation=None if arrays.ground is None else np.asarray(arrays.ground.elevation),
         parts=reports,
         initial_unknown=float(before.members[0].progress.unknown),
+        localisation=_localisation_data(after),
+        goal=None if first.goal is None else np.asarray(first.goal),
     )
+
+
+def _localisation_data(after: FleetState) -> tuple[LocalisationData, ...] | None:
+    """Return where each robot took itself to be; None if they knew their poses."""
+    found = []
+    for each in after.members:
+        place, track = each.own.place, each.judged.track
+        if place is None or track is None:
+            return None
+        found.append(track.data(place, each.belief.grid))
+    return tuple(found)
 
 
 def _gather_on_host(share: Share, own: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """The exploration of an unknown world by a fleet of robots."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,12 +19,15 @@ from jaxplore.belief.gain import Gain
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.fleet_controller import FleetBelief, robot_keys
 from jaxplore.control.fleet_share import Share, check_share
+from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.dynamics.formation import Formation, extent
+from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.fleet.data import FleetFrame, FleetRecord, move_records
 from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.disturbances import Disturbances
 from jaxplore.simulation.exploration.finish import NEVER, TARGETS
 from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -31,9 +35,12 @@ from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
-from jaxplore.simulation.fleet.communication import Talk
+from jaxplore.simulation.fleet.closing import close_loops
+from jaxplore.simulation.fleet.communication import Talk, known_states
 from jaxplore.simulation.fleet.contact import stop_touching
-from jaxplore.simulation.fleet.motion import moves, stack_parts
+from jaxplore.simulation.fleet.disturbances import FleetDisturbances
+from jaxplore.simulation.fleet.driver import FleetDriver
+from jaxplore.simulation.fleet.motion import moves, stack_errors, stack_parts
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
 from jaxplore.simulation.fleet.senses import TeamSenses
@@ -41,6 +48,7 @@ from jaxplore.simulation.fleet.starts import check_starts
 from jaxplore.simulation.fleet.state import FleetState
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
+from jaxplore.simulation.variation import Variation
 
 COORDINATIONS = ("claims", "assignment", "none")
 """Ways in which the robots of a fleet divide the places among themselves."""
@@ -69,13 +77,17 @@ class Fleet(Scenario):
     that concern all, the rates, the target coverage, the faults, are those of the first robot's
     exploration.
 
+    With a goal it is finished when one robot is there, and the robots together know the target
+    coverage, or that robot has nothing left to explore (`Belief.is_explored`), or all targets were
+    found. They explore first, as one robot with a goal does.
+
     A fleet of one robot runs as that robot alone does, to the bit. The order of the robots does not
     matter: keys are derived from the order of the starts by x, y and yaw.
 
     Args:
         robots: exploration of each robot, in one world; or that of one robot, for a fleet of equal
-            ones. Without a target coverage they have 0.99. They have no goal or guard, and all have
-            the same parts, and a chassis or none.
+            ones. Without a target coverage they have 0.99. All have the same goal and the same
+            parts, a guard or none, a chassis or none, and a localisation or none.
         starts: (N, 3) start pose (x, y, yaw) of each robot [m, m, rad], at rest; those of the
             explorations when absent.
         radio: who hears whom; `Radio()` when absent.
@@ -174,11 +186,14 @@ class Fleet(Scenario):
             ValueError: robots that are not all equal, or one alone.
         """
         check_share(share, self.explorations.kinds, "robots")
-        moving = [each.name for each in self.members[0].truths if each.is_moving]
-        if moving:
-            raise ValueError(
-                f"{moving[0]} of the robots is given; accepted in several processes: none"
-            )
+        first = self.members[0]
+        given: dict[str, Any] = {"localisation": first.localisation, "goal": first.goal}
+        given |= {each.name: each for each in first.truths if each.is_moving}
+        for name, one in given.items():
+            if one is not None:
+                raise ValueError(
+                    f"{name} of the robots is given; accepted in several processes: none"
+                )
         return with_field(self, "share", share)
 
     @property
@@ -208,13 +223,27 @@ class Fleet(Scenario):
 
     @property
     def steps_per_revision(self) -> int | None:
-        """Control periods between two assignments; None without assignments."""
-        if self.coordination != "assignment" or self.num_robots == 1:
-            return None
-        return int(self.steps_per_exchange)
+        """Control periods between two assignments or searches for loops; None without any."""
+        every = [each for each in self._revisions if each is not None]
+        return math.gcd(*every) if every else None
+
+    @property
+    def _revisions(self) -> tuple[int | None, ...]:
+        """Control periods between two assignments, and of each robot between two searches for
+        loops."""
+        has_clusters = self.coordination == "assignment" and self.num_robots > 1
+        assignments = int(self.steps_per_exchange) if has_clusters else None
+        return (assignments, *(each.steps_per_revision for each in self.members))
 
     def update_on_host(self, state: LoopState) -> LoopState:
-        """Return the state with the clusters of frontier cells assigned anew, on the host."""
+        """Return the state after work on the host: maps moved where a robot has closed a loop, and
+        clusters of frontier cells assigned anew."""
+        step, (assignments, *closings) = int(state.step), self._revisions
+        for index, every in enumerate(closings):
+            if every is not None and step % every == 0:
+                state = close_loops(self.members, self.robot, self.identity, state, index)
+        if assignments is None or step % assignments:
+            return state
         task: FleetState = state.task
         assert task.team is not None
         members = with_assignments(
@@ -222,17 +251,29 @@ class Fleet(Scenario):
         )
         return state._replace(task=task._replace(members=members))
 
+    def measure_state(self, state: FleetState) -> StateVector:
+        """Return the states (nx,) that the robots take to be their own; see `Localisation`."""
+        if self.members[0].localisation is None:
+            return state.robot
+        pairs = zip(self.members, state.members, strict=True)
+        return jnp.concatenate([one.measure_state(each) for one, each in pairs])
+
     def init(self, key: Key | None) -> tuple[FleetState, FleetBelief]:
         """Return the initial state, and the beliefs with the prior map."""
         members, starts = [], self.robot.split_state(self.start)
 
-        def begin(one: ExplorationScenario, start: StateVector) -> ExplorationState:
+        def begin(
+            one: ExplorationScenario, start: StateVector, own_key: Key | None
+        ) -> ExplorationState:
             here: ExplorationScenario = eqx.tree_at(lambda each: each.start, one, start)
-            return here.init(key)[0]
+            # What moves in the world is the same for all, what a robot measures is its own.
+            moving = here.init(key)[0].moving_obstacles
+            return here.init(own_key)[0]._replace(moving_obstacles=moving)
 
         # One compiled body for equal robots: once in a run, copies of their maps do not matter.
         own = self.explorations.at(self.share.mine)
-        begun = own.each(begin, self.share.select(starts))
+        keys = [None] * self.num_robots if key is None else robot_keys(key, self.identity)
+        begun = own.each(begin, self.share.select(starts), self.share.select(keys))
         for index, alone in zip(self.share.mine, begun, strict=True):
             members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
         known = self._talk.count_known(members)
@@ -258,8 +299,7 @@ class Fleet(Scenario):
         members = here.perceive(
             state.members,
             self._talk.discs(state),
-            own(self.robot.split_state(moment.observed)),
-            moment,
+            self._own_moments(moment),
             own(robot_keys(key, self.identity)),
         )
         known = state._replace(members=members)
@@ -271,8 +311,51 @@ class Fleet(Scenario):
             )
         else:
             known = self._talk.tell_when_due(known, known.team, moment)
-        known = known._replace(gain=state.gain.update(known.coverage, self.control_period))
+        # While a robot is charged, nothing new may be seen.
+        sent = [each.belief.is_sent for each in known.members if each.belief.is_sent is not None]
+        is_sent = jnp.stack(sent).any() if sent else None
+        gain = state.gain.update(known.coverage, self.control_period, is_sent)
+        known = known._replace(gain=gain)
         return known, self._belief(known)
+
+    # One for each robot, behind the methods of one.
+    def driver(  # type: ignore[override]
+        self, controller: Controller | None = None
+    ) -> FleetDriver:
+        """Return what decides the commands of all robots; see `Scenario.driver`."""
+        return FleetDriver(self.explorations, self.share, self.robot, controller)
+
+    @property
+    def disturbances(self) -> FleetDisturbances:  # type: ignore[override]
+        """What each true robot differs by from its model, and what fails."""
+        robots = tuple(Disturbances(None, each.variation) for each in self.members)
+        return FleetDisturbances(self._model, robots, self.faults, self.identity)
+
+    @property
+    def _model(self) -> Formation:
+        """Models of the robots, by which they plan; `robot` may be others that are true."""
+        return Formation([each.robot for each in self.members])
+
+    def scan_points(  # type: ignore[override]
+        self, state: FleetState, moment: Moment | None = None
+    ) -> tuple[ScanPoints, ...]:
+        """Return the newest scan of each robot that this process computes."""
+        own = self.share.select(self.members)
+        return tuple(
+            one.scan_points(each, moment) for one, each in zip(own, state.members, strict=True)
+        )
+
+    def _own_moments(self, moment: Moment) -> tuple[Moment, ...]:
+        """Return the moment of each robot that this process computes."""
+        states = self.share.select(self.robot.split_state(moment.observed))
+        own = tuple(moment._replace(observed=each) for each in states)
+        if moment.measured is None or moment.guard is None:
+            return own
+        measured = self.share.select(self.robot.split_state(moment.measured))
+        return tuple(
+            each._replace(measured=state, guard=judged)
+            for each, state, judged in zip(own, measured, moment.guard.robots, strict=True)
+        )
 
     def advance(
         self, state: FleetState, control: ControlVector, moment: Moment, info: Info
@@ -284,7 +367,8 @@ class Fleet(Scenario):
         """
         before = self.robot.split_state(state.robot)
         controls = self.robot.split_control(control)
-        found = moves(self.members, self.share, state.members, before, controls, moment, info)
+        pairs = tuple(zip(self.members, self.robot.robots, strict=True))
+        found = moves(pairs, self.share, state.members, before, controls, moment, info)
         records, truths = zip(*found, strict=True)
         moved = [each.state for each in records]
         clearance = jnp.stack([each.clearance for each in records])
@@ -296,15 +380,25 @@ class Fleet(Scenario):
             moved, contact = list(apart.states), apart.is_contact
             clearance = jnp.minimum(clearance, apart.gap)
             sent, links, coverages = team.sent, team.links, team.coverages
-            team = self._talk.update_plans(team, state.robot, moved, moment.step, info)
+        own = map(self.share.select, (self.members, moved, controls, truths))
         members = tuple(
-            each.after_step(robot, given)._replace(truths=after)
-            for each, robot, given, after in zip(
-                state.members, *map(self.share.select, (moved, controls, truths)), strict=True
+            one.follow_odometry(each, robot, moment.step)
+            .after_step(robot, given)
+            ._replace(
+                truths=after,
+                motion=Motion.between(one.robot, each.robot, robot, self.control_period),
             )
+            for each, one, robot, given, after in zip(state.members, *own, strict=True)
         )
-        joint = jnp.concatenate(moved)
-        state = state._replace(robot=joint, members=members, team=team)
+        joint, here = jnp.concatenate(moved), state.robot
+        state = state._replace(robot=joint, members=members)
+        if team is not None:
+            known = self.measure_state(state)
+            if self._varies:
+                # Robots that measure with noise know no more of the step than their models do.
+                known = self._model.step(known_states(moment), control, self.control_period)
+            team = self._talk.update_plans(team, here, joint, known, moment.step, info)
+            state = state._replace(team=team)
         is_over = self.is_finished(state) | (state.finished > 0)
         record = FleetRecord(
             state=joint,
@@ -324,6 +418,8 @@ class Fleet(Scenario):
                 records,
                 {each.name: each.record(state.judged[each.name]) for each in self._judging},
             ),
+            stop=moment.stop,
+            **stack_errors(records),
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -331,17 +427,34 @@ class Fleet(Scenario):
         """Check whether the exploration is neither finished nor given up."""
         hover = self.members[0].hover_steps
         is_over = (state.finished > hover) | self.is_given_up(state)
-        return ~(is_over | (self.is_finished(state) & (hover == 0)))
+        if self.members[0].goal is None:
+            is_over = is_over | (self.is_finished(state) & (hover == 0))
+        return ~is_over
 
     def is_finished(self, state: FleetState) -> Flag:
-        """Check whether the robots together know the target coverage, or have seen all targets."""
+        """Check whether the robots together know the target coverage, or have seen all targets, and
+        one of them is at the goal if there is one."""
+        first = self.members[0]
         if state.is_seen.size:
-            return state.is_seen.all()
-        return state.coverage >= self.members[0].target_coverage
+            is_covered = state.is_seen.all()
+        else:
+            is_covered = state.coverage >= first.target_coverage
+        if first.goal is None:
+            return is_covered
+        if state.team is None:
+            return first.is_finished(state.members[0])
+        arrived = []
+        for one, each in zip(self.members, state.members, strict=True):
+            is_there, is_done = one.is_at_goal(each), is_covered
+            assert is_there is not None
+            if not state.is_seen.size:
+                is_done = is_done | each.belief.is_explored
+            arrived.append(is_there & is_done)
+        return jnp.stack(arrived).any()
 
     def is_given_up(self, state: FleetState) -> Flag:
         """Check whether the coverage has not risen for long, see `ExplorationScenario`."""
-        if state.is_seen.size:
+        if state.is_seen.size or self.members[0].goal is not None:
             return jnp.array(False)
         first = self.members[0]
         is_judged = (state.finished == 0) & (first.ends_by != TARGETS.index(NEVER))
@@ -361,26 +474,26 @@ class Fleet(Scenario):
         same: Fleet = eqx.tree_at(lambda at: at.explorations, self, batched)
         return same
 
-    def with_variation(self, variation: Any) -> "Fleet":
-        """Return the scenario itself: the robots of a fleet do not vary.
+    def with_variation(self, variation: Variation | None) -> "Fleet":
+        """Return the scenario with robots that vary from episode to episode, each by its own draw.
+
+        Args:
+            variation: distributions of each true robot; None for none.
 
         Raises:
-            ValueError: a variation.
+            ValueError: a variation of parameters that a robot does not have.
         """
-        return self._without_part("variation", variation)
+        varied = self.explorations.map(lambda each: each.with_variation(variation))
+        return with_field(self, "explorations", varied)
 
-    def with_guard(self, guard: Any) -> "Fleet":
-        """Return the scenario itself: the robots of a fleet have no guard.
+    def with_guard(self, guard: MotionGuard | None) -> "Fleet":
+        """Return the scenario with a guard for each robot.
 
-        Raises:
-            ValueError: a guard.
+        Args:
+            guard: the guard of each robot; None for none.
         """
-        return self._without_part("guard", guard)
-
-    def _without_part(self, name: str, part: Any) -> "Fleet":
-        if part is not None:
-            raise ValueError(f"{name} is a {type(part).__name__}; accepted for a fleet: None")
-        return self
+        guarded = self.explorations.map(lambda each: each.with_guard(guard))
+        return with_field(self, "explorations", guarded)
 
     def frame(
         self, state: FleetState, moment: Moment, inspect: Inspect | None, key: Key
@@ -423,10 +536,15 @@ class Fleet(Scenario):
         return move_records(records, self.datum.offset, self.robot.state_names)
 
     @property
+    def _varies(self) -> bool:
+        """Whether any true robot differs from its model."""
+        return any(each.variation is not None for each in self.explorations.kinds)
+
+    @property
     def _talk(self) -> Talk:
         """How the robots tell one another what they know."""
         return Talk(
-            self.robot,
+            self._model,
             self.explorations,
             self.share,
             self.identity,

@@ -14,6 +14,7 @@ from jaxplore._types import Flag, Key, Pose
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.robot.clock import when_due
+from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import tell
 from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs, MovingObstacles
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -41,28 +42,24 @@ class TeamSenses(NamedTuple):
         self,
         members: Sequence[ExplorationState],
         discs: MovingDiscs | None,
-        observed: Sequence[Array],
-        moment: Moment,
+        moments: Sequence[Moment],
         keys: Sequence[Key],
     ) -> tuple[ExplorationState, ...]:
         """Let each robot scan, track the others and derive its fields.
 
-        `discs` are all robots; None for a robot alone. `observed` is the state (n,) that each robot
-        observes; the one in `moment` is not read.
+        `discs` are all robots; None for a robot alone. `moments` are those of each robot.
         """
-        scenarios = self.explorations.all
+        scenarios, moment = self.explorations.all, moments[0]
         if discs is None:
-            own = moment._replace(observed=observed[0])
-            return (scenarios[0].perceive(members[0], own, keys[0])[0],)
+            return (scenarios[0].perceive(members[0], moment, keys[0])[0],)
         around = [
             jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs)
             for i in self.places
         ]
         scanned = []
-        for one, each, beside, seen, key in zip(
-            scenarios, members, around, observed, keys, strict=True
+        for one, each, beside, own, key in zip(
+            scenarios, members, around, moments, keys, strict=True
         ):
-            own = moment._replace(observed=seen)
             truth = _among(one.true_world(each, own), each.moving_obstacles, beside)
             scanned.append(one.sense(each, truth, own, key, is_told=False))
         rates = scenarios[0].rates
@@ -76,28 +73,38 @@ class TeamSenses(NamedTuple):
             around,
             [each.robot for each in states],
             [each.sight.is_taken for each in scanned],
+            [_known_pose(each.state) for each in scanned],
             list(keys),
         )
         is_due = rates.are_fields_due(moment.step)
+        sights = [each.sight.correct(each.state.own.place) for each in scanned]
         beliefs: list[Belief] = []
         for one, sensed, obstacles in zip(scenarios, scanned, known, strict=True):
             belief = dataclasses.replace(sensed.state.belief, obstacles=obstacles)
-            inform = functools.partial(_update_information, one)
+            inform = functools.partial(_update_information, one, sensed.state.own.place)
             beliefs += when_due(is_due, sensed.sight.is_placed, inform, (belief,))
         # What reads an information field is apart from what changes it in place: within one branch
         # XLA would copy the field of every robot, twice.
         guided = jax.lax.cond(
             is_due,
             self._update_guidance,
-            lambda beliefs, *_: [_guidance(each) for each in beliefs],
+            lambda beliefs, *_: [_guidance(each, self._errands) for each in beliefs],
             beliefs,
-            [each.sight.pose for each in scanned],
-            [each.sight.is_placed for each in scanned],
+            [each.pose for each in sights],
+            [each.is_placed for each in sights],
         )
         return tuple(
-            each.state.with_belief(dataclasses.replace(belief, **fields))
+            each.state.with_belief(
+                dataclasses.replace(belief.with_parts(fields.pop("parts")), **fields)
+            )
             for each, belief, fields in zip(scanned, beliefs, guided, strict=True)
         )
+
+    @property
+    def _errands(self) -> tuple[str, ...]:
+        """Names of the parts that send robots somewhere."""
+        parts = self.explorations.kinds[0].perception.parts
+        return tuple(part.name for part in parts if part.has_errands)
 
     def _track_obstacles(
         self, moment: Moment, known: Sequence[Obstacles], *rows: Sequence[Any]
@@ -111,6 +118,7 @@ class TeamSenses(NamedTuple):
             beside: MovingDiscs,
             robot: Array,
             is_taken: Flag,
+            place: Pose | None,
             key: Key,
         ) -> Obstacles:
             truth = _among(one.world_at(moving, moment), moving, beside)
@@ -118,7 +126,7 @@ class TeamSenses(NamedTuple):
 
             def update(before: Obstacles) -> Obstacles:
                 told = truth.tell(one.sensors, pose, one.tracking_noise, key)
-                return before if told is None else tell(before, told)
+                return before if told is None else tell(before, told, place)
 
             tracked: Obstacles = jax.lax.cond(is_taken, update, lambda before: before, obstacles)
             return tracked
@@ -131,34 +139,56 @@ class TeamSenses(NamedTuple):
         """Return the guidance of each robot, and what else follows from its information."""
 
         def guide(one: ExplorationScenario, belief: Belief, pose: Pose, placed: Flag) -> Any:
-            # Any map of the shape will do: without a goal none is read.
-            belief = dataclasses.replace(belief, grid=one.map_arrays.prior)
+            if belief.grid is None:
+                # Any map of the shape will do: without a goal none is read.
+                belief = dataclasses.replace(belief, grid=one.map_arrays.prior)
             after: Belief = jax.lax.cond(
                 placed,
                 lambda same: one.perception.update_guidance(same, pose, one.rates.since_fields),
                 lambda same: same,
                 belief,
             )
-            return _guidance(after)
+            return _guidance(after, self._errands)
 
         # Guidance reads the clearance and the total information, and the loop need not copy more.
-        absent: dict[str, Any] = {"grid": None, "obstacles": None, "parts": {}}
+        absent: dict[str, Any] = {"obstacles": None}
+        if self.explorations.kinds[0].goal is None:
+            absent["grid"] = None
         small = [
-            dataclasses.replace(each, information=each.information.without_directions(), **absent)
+            dataclasses.replace(
+                each,
+                information=each.information.without_directions(),
+                parts={name: each.parts[name] for name in self._errands},
+                **absent,
+            )
             for each in beliefs
         ]
         return self.explorations.each(guide, small, poses, is_placed)
 
 
-def _update_information(one: ExplorationScenario, belief: Belief) -> tuple[Belief]:
-    """Return the belief of a robot with the information field of its map."""
+def _known_pose(state: ExplorationState) -> Pose | None:
+    """Return the pose that a robot has found; None if its odometry tells it."""
+    return None if state.own.place is None else state.own.place.known.pose
+
+
+def _update_information(
+    one: ExplorationScenario, place: PoseKnowledge | None, belief: Belief
+) -> tuple[Belief]:
+    """Return the belief of a robot with the information field of its map.
+
+    `place` is what it knows of its pose; None if its odometry tells it.
+    """
+    if one.localisation is not None and place is not None:
+        belief = one.localisation.inform(place, belief)
     return (one.perception.update_information(belief),)
 
 
-def _guidance(belief: Belief) -> dict[str, Any]:
-    """Return the fields of a belief that an update of its guidance changes."""
-    names = ("guidance", "dwell", "is_explored", "pose")
-    return {name: getattr(belief, name) for name in names}
+def _guidance(belief: Belief, errands: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of a belief that an update of its guidance changes, and of its parts those
+    with errands."""
+    names = ("guidance", "dwell", "is_explored", "pose", *(("goal", "is_sent") if errands else ()))
+    fields = {name: getattr(belief, name) for name in names}
+    return {**fields, "parts": {name: belief.parts[name] for name in errands}}
 
 
 def _among(truth: TrueWorld, moving: MovingObstacles | None, around: MovingDiscs) -> TrueWorld:

@@ -103,12 +103,11 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         },
         **arguments(settings.rates, ExplorationScenario),
     ).with_variation(build_variation(settings.variation))
-    has_guard = settings.guard and settings.fleet is None
     # A quadrotor's camera does not show where people come from: with the limit of speeds it lost
     # half of its way, and touched as many of them per metre.
     is_flying = "z" in robot.state_names
     occlusion = None if is_flying else build_occlusion_cost(settings, world)
-    return scenario.with_guard(MotionGuard(occlusion=occlusion) if has_guard else None)
+    return scenario.with_guard(MotionGuard(occlusion=occlusion) if settings.guard else None)
 
 
 def _choose_max_unknown(settings: Settings) -> float | None:
@@ -161,7 +160,7 @@ def _parts(settings: Settings, world: RunWorld) -> list[Part]:
     if settings.detector is not None:
         parts.append(build_recognition(settings.detector))
     if settings.battery is not None:
-        parts.append(build_battery(settings.battery, world.start, world.datum)[0])
+        parts.append(build_battery(settings.battery, world.datum)[0])
     return parts
 
 
@@ -177,7 +176,7 @@ def _truths(settings: Settings, robot: Dynamics, world: RunWorld) -> list[PartTr
     if chassis is not None:
         truths.append(Wheels(chassis))
     if settings.battery is not None:
-        truths.append(build_battery(settings.battery, world.start, world.datum)[1])
+        truths.append(build_battery(settings.battery, world.datum)[1])
     return truths
 
 

@@ -249,7 +249,7 @@ class Settings(RunSettings):
         informative: settings of informative MPPI and of its baselines.
         rates: rates of control, sensing and fields.
         guard: whether the robot brakes while its pose, its scan or its motion cannot be true, and
-            before what its scan has met: see `jaxplore.MotionGuard`. A fleet has none.
+            before what its scan has met: see `jaxplore.MotionGuard`.
         fleet: several robots that share what they know; one robot when absent.
         people: people who walk on the map, and how the robot minds them.
     """

@@ -14,6 +14,7 @@ from jaxplore.maps.world import LabelledObject, MovingObstacle, World, is_world_
 from jaxplore.parts.anomalies.truth import PlantedAnomalies, find_anomalies
 from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.exploration.reachability import open_spot, with_closed
+from jaxplore.tasks.exploration.fleet import has_others
 from jaxplore.tasks.exploration.settings import OFFICE, ZONES, Settings
 from jaxplore.tasks.robot import build_keep_out
 
@@ -93,11 +94,11 @@ def _still_world(settings: Settings, radius: float) -> RunWorld:
 def expects_people(settings: Settings, world: RunWorld) -> bool:
     """Check whether the robot looks out for people: see `PeopleSettings`.
 
-    A robot of a fleet, or on a known ground, is told of what moves.
+    A robot among others of a fleet, or on a known ground, is told of what moves.
     """
     given = settings.people.are_expected
     expected = bool(world.movers) if given is None else given
-    return expected and settings.fleet is None and world.ground is None
+    return expected and not has_others(settings) and world.ground is None
 
 
 def is_ros_map(settings: Settings) -> bool:
