@@ -32,6 +32,7 @@ from jaxplore.planning.presets.volume import (
     volume_informative_mppi,
     volume_target_explorer,
 )
+from jaxplore.planning.strategy.volume_approach import GoalApproach
 from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments, parameter_default
@@ -53,10 +54,13 @@ def build_volume(settings: VolumeSettings) -> Experiment:
     world, datum = build_world(settings)
     robot = Quadrotor(**arguments(settings.robot, Quadrotor))
     sensors = build_sensors(settings)
+    goal = None if settings.goal is None else datum.to_local(settings.goal)
     perception = VolumePerception(
         sensors,
         world.resolution,
         robot.radius,
+        goal=goal,
+        goal_heading=None if goal is None else settings.goal_heading,
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
     )
@@ -66,6 +70,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         sensors,
         _start(settings, world, robot, datum),
         perception=perception,
+        goal=goal,
         targets=[datum.to_local(each) for each in settings.search] or None,
         faults=build_faults(settings.faults, datum),
         datum=datum,
@@ -74,6 +79,8 @@ def build_volume(settings: VolumeSettings) -> Experiment:
     ).with_variation(build_variation(settings.variation))
     controller = set_parameters(_controller(settings, scenario), settings.parameters)
     controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
+    if goal is not None:
+        controller = GoalApproach(controller, robot)
     return Experiment(
         with_latency(controller, settings, scenario),
         scenario,
@@ -199,6 +206,7 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
         **arguments(settings.controller, volume_explorer),
         **arguments(settings.robot, volume_explorer),
         "control_period": 1.0 / settings.rates.control,
+        "has_goal": scenario.goal_check is not None,
     }
     name = settings.architecture
     if name == "explorer":
@@ -217,6 +225,11 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
     own = import_rule(name) if is_own(name) else None
     if own is None and is_own(name):
         return import_controller(name, scenario)
+    if settings.goal is not None:
+        raise ValueError(
+            f"architecture is {name!r} beside a goal, and its rule chooses places of its own; "
+            f"accepted: explorer, {', '.join(INFORMATIVE)}"
+        )
     return volume_target_explorer(
         scenario.robot,
         name if own is None else own,

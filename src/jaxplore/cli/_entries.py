@@ -26,6 +26,7 @@ _OF_VOLUMES = (
     "seed",
     "time_limit",
     "start",
+    "goal",
     "target_coverage",
     "resolution",
     "architecture",

@@ -150,6 +150,7 @@ class VolumeFieldSettings(Section):
     num_elevations: Headings = setting(VolumePerception, "num_elevations")
     max_clearance: Body = setting(VolumePerception, "max_clearance")
     window: tuple[Extent, Extent, Extent] | None = setting(VolumePerception, "window")
+    unknown_factor: NonNegative = setting(VolumePerception, "unknown_factor")
 
 
 class VolumeControllerSettings(Section):
@@ -205,6 +206,7 @@ class VolumeSettings(RunSettings):
             (`jaxplore.planning.TargetRule`) or a function from a scenario to a controller.
         search: targets to find, a list of places (x, y, z) with z up [m]; the run then ends when
             all have been seen.
+        goal: goal (x, y, z) with z up [m]; the run then ends when the robot has come to rest there.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.
@@ -223,6 +225,11 @@ class VolumeSettings(RunSettings):
     architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
     resolution: Spacing = setting(generate_volume, "resolution")
     search: Annotated[tuple[tuple[Real, Real, Real], ...], Field(max_length=MOST_NAMES)] = ()
+    goal: tuple[Real, Real, Real] | None = None
+    goal_radius: Length = setting(VolumeScenario, "goal_radius")
+    goal_heading: Real | None = setting(VolumeScenario, "goal_heading")
+    goal_tolerance: Positive = setting(VolumeScenario, "goal_tolerance")
+    goal_speed: Positive = setting(VolumeScenario, "goal_speed")
     time_limit: Duration = 300.0
     target_coverage: Share = setting(VolumeScenario, "target_coverage")
     give_up_after: Duration | None = setting(VolumeScenario, "give_up_after")

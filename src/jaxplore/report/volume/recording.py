@@ -35,6 +35,8 @@ BESIDE = 0.7
 """Distance from a slice through the robot beyond which its trail is pale [m]."""
 TRAIL, PALE, PLAN = "#1f77b4", "#b9d3e6", "#d62728"
 """Colours of the trail, of its parts that are not near the slice, and of the plan."""
+GOAL = "#e9a23b"
+"""Colour of the goal."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
@@ -81,6 +83,10 @@ class VolumeRecording(VolumeData, Recording):
             for x, y in ((place[0], level.height - place[1]), (place[0], size[1] - place[2])):
                 box = (x - radius, y - radius, x + radius, y + radius)
                 draw.ellipse(box, None if is_found else colours.TARGET, colours.TARGET, width)
+        if self.goal is not None:
+            x, y, z = ((self.goal - self.origin) / self.resolution * pixels).tolist()
+            for here in ((x, level.height - y), (x, size[1] - z)):
+                draw.regular_polygon((*here, 1.5 * radius), 4, 45, GOAL, GOAL)
         for x, y in (trail[-1], side[-1]):
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=PLAN, width=2)
         return picture
@@ -102,7 +108,8 @@ class VolumeRecording(VolumeData, Recording):
 
         Each field of `VolumeRecord` under its name, one row per step; `time` (N + 1,) [s],
         `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `observable` (D, H, W),
-        `origin`, `resolution`, `control_period`, `start`, `state_names` and `targets` (M, 3) [m].
+        `origin`, `resolution`, `control_period`, `start`, `state_names`, `targets` (M, 3) [m], and
+        with a goal `goal` (3,) [m].
         """
         return {
             **super().arrays(),
@@ -115,6 +122,7 @@ class VolumeRecording(VolumeData, Recording):
             "start": self.start,
             "targets": self.targets,
             "state_names": np.asarray(self.state_names, np.str_),
+            **({} if self.goal is None else {"goal": self.goal}),
         }
 
 
@@ -154,7 +162,9 @@ def volume_figure(data: VolumeData) -> "Figure":
             axes.scatter(
                 *places, color=colours.shade(colours.TARGET), marker=marker, s=60, label=label
             )
-    if len(is_found):
+    if data.goal is not None:
+        axes.scatter(*data.goal, color=GOAL, marker="*", s=120, label="goal", depthshade=False)
+    if len(is_found) or data.goal is not None:
         axes.legend(loc="upper left", frameon=False)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
@@ -189,7 +199,9 @@ def write_turntable(data: VolumeData, path: Path) -> None:
     picture = SpacePicture(low, high, WIDTH)
 
     def draw(azimuth: float) -> Image.Image:
-        return picture.draw(points, shades, data.resolution, data.positions, azimuth)
+        return picture.draw(
+            points, shades, data.resolution, data.positions, azimuth, goal=data.goal
+        )
 
     angles = [math.radians(60.0) + 2.0 * math.pi * turn / TURNS for turn in range(TURNS)]
     options = FilmOptions(fps=12.5)
@@ -219,6 +231,8 @@ def slices_figure(data: VolumeData) -> "Figure":
         axes.plot(path[:, 0], path[:, 1], color=TRAIL, linewidth=0.8, alpha=0.25)
         near = np.where((nearest == number - 1)[:, None], path[:, :2], np.nan)
         axes.plot(near[:, 0], near[:, 1], color=TRAIL, linewidth=1.2)
+        if data.goal is not None and np.abs(heights - data.goal[2]).argmin() == number - 1:
+            axes.plot(*data.goal[:2], marker="*", color=GOAL, markersize=10)
         axes.set_title(f"z = {z:.2f} m", fontsize=9)
         axes.set_ylabel("y [m]")
     axes.set_xlabel("x [m]")

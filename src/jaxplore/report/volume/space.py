@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from jaxplore.report.drawing.palette import PLAN, ROBOT
+from jaxplore.report.drawing.palette import PLAN, REFERENCE, ROBOT
 
 MOST_POINTS = 30_000
 """Greatest number of voxels of a figure or a page."""
@@ -84,12 +84,13 @@ class SpacePicture:
         path: np.ndarray,
         azimuth: float,
         plan: np.ndarray | None = None,
+        goal: np.ndarray | None = None,
     ) -> Image.Image:
         """Draw voxels, the farthest first, and over them the path and the plan of the robot.
 
         The points (N, 3) are the middles of the voxels [m], and `side` is that of a voxel [m]. The
-        path (M, 3) and the plan (T, 3) are positions [m]. The viewer looks in the direction
-        `azimuth` [rad].
+        path (M, 3), the plan (T, 3) and the goal (3,) are positions [m]. The viewer looks in the
+        direction `azimuth` [rad].
         """
         width, height = self.size
         image = np.full((height, width, 3), 255, np.uint8)
@@ -125,6 +126,9 @@ class SpacePicture:
             if line is not None and len(line) > 1:
                 flat_line, _ = self.project(line, azimuth)
                 draw.line(list(map(tuple, flat_line.tolist())), fill=colour[:3], width=thick)
+        if goal is not None:
+            (x, y), radius = self.project(goal[None], azimuth)[0][0].tolist(), 7
+            draw.regular_polygon((x, y, radius), 4, 45, REFERENCE[:3])
         if len(path):
             (x, y), radius = self.project(path[-1:], azimuth)[0][0].tolist(), 4
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=ROBOT[:3])

@@ -28,6 +28,13 @@ from jaxplore.belief.gain import Gain
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
+from jaxplore.dynamics.goal_check import (
+    GOAL_RADIUS,
+    GOAL_SPEED,
+    GOAL_TOLERANCE,
+    GoalCheck,
+    Motion,
+)
 from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
@@ -52,7 +59,8 @@ class VolumeState(NamedTuple):
     """State of the exploration of a volume.
 
     `num_known` observable voxels are known to be free, and `gain` is the last rise of their share.
-    `is_seen` (M,) says which targets have been seen.
+    `is_seen` (M,) says which targets have been seen. `motion` is that of the last step; None
+    without a goal.
     """
 
     robot: StateVector
@@ -60,6 +68,7 @@ class VolumeState(NamedTuple):
     num_known: Count
     gain: Gain
     is_seen: Bool[Array, " M"]
+    motion: Motion | None = None
 
 
 class VolumeScenario(Scenario):
@@ -71,7 +80,9 @@ class VolumeScenario(Scenario):
     coverage is the share of them that the robot's map knows to be free. The exploration is finished
     at the target coverage, and given up when the coverage has not risen by 0.1 % for
     `give_up_after`: what is left cannot be seen from where the robot fits. With targets it is
-    finished when a sensor has seen all of them, and not given up.
+    finished when a sensor has seen all of them, and not given up. With a goal the robot flies
+    there, through what it does not know as well, and the run is finished when it has come to rest
+    there (`GoalCheck`); it is not given up.
 
     Args:
         world: the true volume, hidden from the robot.
@@ -87,6 +98,11 @@ class VolumeScenario(Scenario):
             [s]; when absent a minute and the time of a flight along the diagonal of the volume and
             back at 1 m/s.
         targets: (M, 3) positions (x, y, z) of targets to find, with z up [m]; none when absent.
+        goal: goal position (x, y, z) with z up [m]; none when absent.
+        goal_radius: distance within which the goal is reached by a robot at rest [m].
+        goal_heading: heading at the goal [rad]; any when absent.
+        goal_tolerance: greatest error of the heading at the goal [rad].
+        goal_speed: speed up to which the robot is at rest at the goal [m/s].
         faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
             is not carried away.
         datum: point of a file's coordinates to which all positions here are relative; frames and
@@ -96,7 +112,8 @@ class VolumeScenario(Scenario):
         ValueError: a part of another class, a start that is off the volume or so close to a solid
             voxel that the robot touches it, a rate that is no whole fraction, a coverage outside
             (0, 1], a window of the perception that is too small, a target that is not in an
-            observable voxel.
+            observable voxel, targets beside a goal, a goal where the robot cannot get from its
+            start, a perception made for another goal.
     """
 
     frame_type = VolumeFrame
@@ -115,6 +132,7 @@ class VolumeScenario(Scenario):
     observable: Bool[Array, "D H W"]
     num_observable: Scalar
     targets: Float[Array, "M 3"]
+    goal_check: GoalCheck | None
     faults: Faults | None
     reach: int = eqx.field(static=True)
 
@@ -132,6 +150,11 @@ class VolumeScenario(Scenario):
         target_coverage: ArrayLike = 0.95,
         give_up_after: ArrayLike | None = None,
         targets: Rows | None = None,
+        goal: Vector | None = None,
+        goal_radius: ArrayLike = GOAL_RADIUS,
+        goal_heading: ArrayLike | None = None,
+        goal_tolerance: ArrayLike = GOAL_TOLERANCE,
+        goal_speed: ArrayLike = GOAL_SPEED,
         faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
@@ -167,8 +190,12 @@ class VolumeScenario(Scenario):
         self.num_observable = on_device(np.asarray(np.count_nonzero(seen), np.float32))
         self.targets = _check_targets(targets, world, seen, datum)
         self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
-        if perception is None:
-            perception = VolumePerception(given, world.resolution, robot.radius)
+        ends = goal_radius, goal_heading, goal_tolerance, goal_speed
+        check = GoalCheck.of((0.0, 0.0, 0.0) if goal is None else goal, *ends, dimensions=3)
+        self.goal_check = None if goal is None else check
+        if goal is not None:
+            _check_goal(check, world, places, radius, datum, has_targets=bool(self.targets.size))
+        perception = _check_perception(perception, given, world, robot, self.goal_check)
         perception.window_shape(world.shape, side)
         self.perception = perception
         rate = _checks.number("control_rate", control_rate, above=0.0)
@@ -202,7 +229,9 @@ class VolumeScenario(Scenario):
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
         is_seen = jnp.zeros(self.targets.shape[0], bool)
-        return VolumeState(self.start, belief, known, gain, is_seen), belief
+        nothing = jnp.zeros(())
+        motion = None if self.goal_check is None else Motion(nothing, nothing)
+        return VolumeState(self.start, belief, known, gain, is_seen, motion), belief
 
     def perceive(
         self, state: VolumeState, moment: Moment, key: Key
@@ -282,6 +311,9 @@ class VolumeScenario(Scenario):
             is_finite=info.is_finite,
             targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None,
         )
+        if self.goal_check is not None:
+            motion = Motion.between(self.robot, state.robot, after, self.control_period)
+            state = state._replace(motion=motion)
         return state._replace(robot=after), record
 
     def find_targets(
@@ -300,13 +332,15 @@ class VolumeScenario(Scenario):
 
     def is_unfinished(self, state: VolumeState) -> Flag:
         """Check whether the exploration is neither finished nor given up."""
+        if self.goal_check is not None:
+            return ~self._is_there(self.goal_check, state)
         if state.is_seen.size:
             return ~state.is_seen.all()
         return (self.coverage(state) < self.target_coverage) & ~self.is_given_up(state)
 
     def is_given_up(self, state: VolumeState) -> Flag:
         """Check whether the coverage has not risen for `give_up_after`, below its target."""
-        if state.is_seen.size:
+        if state.is_seen.size or self.goal_check is not None:
             return jnp.array(False)
         is_below = self.coverage(state) < self.target_coverage
         return is_below & (state.gain.since >= self.give_up_after)
@@ -314,6 +348,12 @@ class VolumeScenario(Scenario):
     def progress(self, state: VolumeState) -> tuple[float, str]:
         """Return the share of the target coverage, and the coverage in words."""
         coverage = float(self.coverage(state))
+        if self.goal_check is not None:
+            place = np.asarray(position_upwards(state.robot))
+            away = float(np.linalg.norm(place - np.asarray(self.goal_check.position)))
+            first = np.asarray(position_upwards(self.start) - self.goal_check.position)
+            share = 1.0 - away / max(1e-6, float(np.linalg.norm(first)))
+            return min(1.0, max(0.0, share)), f"goal {away:5.1f} m away"
         return min(1.0, coverage / float(self.target_coverage)), f"coverage {coverage:6.1%}"
 
     def coverage(self, state: VolumeState) -> Scalar:
@@ -377,6 +417,7 @@ class VolumeScenario(Scenario):
         run: ChunkedRun[Any, VolumeRecord, VolumeFrame],
     ) -> VolumeRecording:
         """Make the recording of a run."""
+        last = run.state.task
         local = VolumeRecording(
             **run.common(self.period),
             world=np.asarray(self.world.is_occupied),
@@ -390,9 +431,19 @@ class VolumeScenario(Scenario):
             target_coverage=float(self.target_coverage),
             robot_radius=float(self.robot.radius),
             targets=np.asarray(self.targets),
+            goal=None if self.goal_check is None else np.asarray(self.goal_check.position),
+            is_at_goal=self.goal_check is not None and not bool(self.is_unfinished(last)),
             given_up_step=run.num_steps if bool(self.is_given_up(run.state.task)) else None,
         )
         return local.move(self.datum.offset)
+
+    def _is_there(self, check: GoalCheck, state: VolumeState) -> Flag:
+        """Check whether the robot has come to rest at its goal."""
+        assert state.motion is not None
+        heading = self.robot.heading(state.robot)
+        pose = jnp.append(position_upwards(state.robot), heading)
+        there: Flag = check.is_reached(pose, state.motion)
+        return there
 
     def _stop(self, state: StateVector) -> StateVector:
         """Return the state of a robot that keeps its position and attitude, at rest."""
@@ -428,6 +479,60 @@ def _check_targets(
                 "where the robot can get"
             )
     return places
+
+
+def _check_goal(
+    check: GoalCheck,
+    world: VoxelGrid,
+    places: np.ndarray,
+    radius: float,
+    datum: Datum,
+    *,
+    has_targets: bool,
+) -> None:
+    """Check that a goal is within its radius of a voxel at whose centre the robot can get.
+
+    `places` (D, H, W) are these voxels, and `radius` is that of the robot [m].
+    """
+    at = datum.round_to_map(check.position).tolist()
+    if has_targets:
+        raise ValueError(f"goal is {at} beside targets; accepted: one of them")
+    side = world.resolution
+    goal = np.asarray(check.position, np.float64) - np.asarray(world.origin, np.float64)
+    centres = (np.argwhere(places)[:, ::-1] + 0.5) * side
+    nearest = float(np.linalg.norm(centres - goal, axis=1).min())
+    # Between the centres of voxels there is room as well.
+    most = max(float(check.radius), side)
+    if nearest > most:
+        raise ValueError(
+            f"goal is {at}, which a robot of radius {radius:g} m cannot reach from its start: "
+            f"{nearest:.2f} m is the nearest it gets; accepted: a goal within "
+            f"{most:g} m of where it can go"
+        )
+
+
+def _check_perception(
+    perception: VolumePerception | None,
+    sensors: tuple[VolumeSensor, ...],
+    world: VoxelGrid,
+    robot: Quadrotor,
+    check: GoalCheck | None,
+) -> VolumePerception:
+    """Check that a perception has the goal of a scenario, or make one when absent."""
+    goal, heading = (None, None) if check is None else (check.position, check.heading)
+    if perception is None:
+        given = {"goal": goal, "goal_heading": heading}
+        return VolumePerception(sensors, world.resolution, robot.radius, **given)
+    for name, own, wanted in (
+        ("goal", perception.goal, goal),
+        ("goal_heading", perception.goal_heading, heading),
+    ):
+        values = [None if each is None else each.tolist() for each in (own, wanted)]
+        if values[0] != values[1]:
+            raise ValueError(
+                f"perception has the {name} {values[0]}; accepted: the scenario's, {values[1]}"
+            )
+    return perception
 
 
 def _start_voxel(

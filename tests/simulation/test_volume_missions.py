@@ -1,0 +1,116 @@
+"""A quadrotor flies to a goal in a volume in the closed loop."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.kinds import CAMERA, QUADROTOR, SIDE, room, volume
+
+import jaxplore as jx
+from jaxplore.costs import VolumeGoalCost, VolumeGuidanceCost
+from jaxplore.planning import GoalApproach
+from jaxplore.simulation.run import record_run
+
+pytestmark = pytest.mark.long
+
+GOAL, START = (6.5, 0.9, 1.3), (1.0, 0.9, 1.2, 0.0)
+"""On both sides of the half wall, so that the straight line between them is blocked."""
+
+
+@pytest.fixture(scope="module")
+def controller():
+    flying = jx.volume_explorer(QUADROTOR, horizon=20, num_samples=128, has_goal=True)
+    return GoalApproach(flying, QUADROTOR)
+
+
+@pytest.fixture(scope="module")
+def run(controller):
+    given = volume(start=START, goal=GOAL, goal_heading=1.0)
+    return record_run(controller, given, 600, key=jax.random.key(0), num_trajectories=0)
+
+
+def test_it_flies_around_the_wall_and_comes_to_rest_at_the_goal(run) -> None:
+    metrics, states = run.metrics(), np.asarray(run.records.state)
+    assert metrics.is_finished
+    assert metrics.collisions == 0
+    assert metrics.minimum_clearance > 0.0
+    # By hand, in the frame of the model: z down, and a step of 50 ms.
+    place = states[:, :3] * [1.0, 1.0, -1.0]
+    away = np.linalg.norm(place[-1] - GOAL)
+    assert away < 0.15
+    assert metrics.goal_distance == pytest.approx(away, abs=1e-5)
+    assert np.linalg.norm(place[-1] - place[-2]) / 0.05 <= 0.05
+    qw, qx, qy, qz = states[-1, 6:10]
+    yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy**2 + qz**2))
+    assert yaw == pytest.approx(1.0, abs=0.1)
+    # It ends at once, and knows only a part of the room.
+    assert metrics.finished_at == pytest.approx(metrics.duration)
+    assert metrics.coverage < 0.95
+    # The straight line leads through the wall at x = 3.0 to 3.2 m, y < 1.6 m.
+    crossing = place[np.abs(place[:, 0] - 3.1).argmin()]
+    assert crossing[1] > 1.6
+
+
+def test_the_goal_is_in_the_pictures_and_arrays(run, tmp_path) -> None:
+    recording = run
+    picture = np.asarray(recording.frame_image(recording.frames[-1]).convert("RGB"))
+    assert (picture == [233, 162, 59]).all(axis=-1).sum() > 20
+    figure = recording.figures()["volume"]()
+    (axes,) = figure.axes
+    assert "goal" in [each.get_text() for each in axes.get_legend().get_texts()]
+    np.testing.assert_allclose(recording.arrays()["goal"], GOAL, atol=1e-6)
+    assert dict(recording.metrics().rows())["goal"].endswith("m away")
+
+
+def test_the_cost_of_the_way_is_what_it_says() -> None:
+    given = volume(start=START, goal=GOAL)
+    _, belief = given.init(None)
+    rising = jnp.arange(belief.guidance.values.shape[2], dtype=jnp.float32) * jnp.ones(
+        belief.guidance.values.shape
+    )
+    belief = eqx.tree_at(
+        lambda each: (each.guidance.values, each.goal.way), belief, (rising, jnp.array([0.6, 0.0]))
+    )
+    # 2 m/s ahead, with the nose turned by 0.4 rad from the way.
+    values = QUADROTOR.at_pose(4.0, 2.0, 0.4, -1.2).at[3].set(2.0)
+    state = jx.State(values, QUADROTOR)
+    nothing = jnp.zeros(4), jnp.zeros(()), belief
+    way = float(VolumeGuidanceCost(50.0).stage(state, *nothing))
+    braking = 2.0 * max(0.0, 4.0 / (2.0 * 0.25 * 9.81) / 0.5 - way)
+    found = float(VolumeGoalCost(0.5, 50.0).stage(state, *nothing))
+    assert found == pytest.approx(way + braking + 0.5 * 0.6 * (1.0 - math.cos(0.4)), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"goal": (3.1, 0.9, 1.2)}, "cannot reach from its start: .* accepted: a goal within 0.2"),
+        ({"goal": (99.0, 0.9, 1.2)}, "goal is .*99.0, .*cannot reach from its start"),
+        ({"goal": GOAL, "targets": [GOAL]}, "beside targets; accepted: one of them"),
+        ({"goal": (1.0, 2.0)}, "goal is .* accepted: 3 finite numbers"),
+        ({"goal": GOAL, "goal_radius": 0.0}, "goal_radius is 0.0; accepted"),
+        (
+            {"goal": GOAL, "perception": jx.VolumePerception([CAMERA], SIDE, 0.3)},
+            "perception has the goal None; accepted: the scenario's",
+        ),
+    ],
+)
+def test_goals_that_are_not_possible_are_refused(given, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        volume(start=START, **given)
+
+
+def test_a_goal_needs_the_whole_map_and_a_controller_that_knows_it() -> None:
+    with pytest.raises(ValueError, match=r"window is .* beside a goal.*accepted: one of them"):
+        jx.VolumePerception([CAMERA], SIDE, 0.3, goal=GOAL, window=(20.0, 20.0, 3.0))
+    with pytest.raises(ValueError, match="goal_heading is given without a goal"):
+        jx.VolumePerception([CAMERA], SIDE, 0.3, goal_heading=0.0)
+    # A controller that flies to a goal says what is missing where there is none.
+    flying = jx.volume_explorer(QUADROTOR, horizon=20, num_samples=128, has_goal=True)
+    given = jx.VolumeScenario(room(), QUADROTOR, CAMERA, START)
+    _, belief = given.init(None)
+    with pytest.raises(ValueError, match="belief has no goal; accepted: the belief of a perc"):
+        flying.step(flying.init(), given.start, belief, key=jax.random.key(0))
