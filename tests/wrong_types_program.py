@@ -398,6 +398,7 @@ def numbers() -> dict[str, Any]:
         "StateBoundsCost.scale": {"v": 1.0},
         "StateBoundsCost.upper": {"v": 1.0},
         "StateCost.target": {"x": 1.0},
+        "KeepOutBoxes.boxes": [[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]],
         "VolumePerception.goal": [2.6, 2.0, 2.0],
         "VolumePerception.window": [8.0, 8.0, 4.0],
         "VolumeScenario.goal": [2.6, 2.0, 2.0],

@@ -48,7 +48,7 @@ def test_the_cost_to_go_is_that_of_dijkstra(seed: int) -> None:
     nodes = passable[::2, ::2, ::2]
     tight = np.clip(3.0 - wall_room[::2, ::2, ::2].astype(np.float64) / REQUIRED, 0.0, 2.0) / 2.0
     unknown = ~half_open[::2, ::2, ::2]
-    slowness = (1.0 + tight) * (1.0 + unknown * (FACTOR + near.astype(np.float64)))
+    slowness = (1.0 + tight) * (1.0 + unknown * (FACTOR + near.astype(np.float64) ** 2))
     away = np.where(nodes, np.linalg.norm(at - goal, axis=-1), np.inf)
     ends = np.flatnonzero(away <= away.min() + SPACING + 1e-6)
     wanted = np.min(

@@ -18,6 +18,9 @@ pytestmark = pytest.mark.long
 
 GOAL, START = (6.5, 0.9, 1.3), (1.0, 0.9, 1.2, 0.0)
 """On both sides of the half wall, so that the straight line between them is blocked."""
+BOX = (2.4, 1.6, 0.0, 3.6, 2.4, 2.4)
+"""At the end of the wall, where the shortest way leads."""
+BOXES = jx.parts.KeepOutBoxes([BOX])
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +31,10 @@ def controller():
 
 @pytest.fixture(scope="module")
 def run(controller):
-    given = volume(start=START, goal=GOAL, goal_heading=1.0)
+    seen = jx.VolumePerception(
+        [CAMERA], SIDE, QUADROTOR.radius, goal=GOAL, goal_heading=1.0, parts=[BOXES]
+    )
+    given = volume(start=START, goal=GOAL, goal_heading=1.0, perception=seen)
     return record_run(controller, given, 600, key=jax.random.key(0), num_trajectories=0)
 
 
@@ -52,6 +58,12 @@ def test_it_flies_around_the_wall_and_comes_to_rest_at_the_goal(run) -> None:
     # The straight line leads through the wall at x = 3.0 to 3.2 m, y < 1.6 m.
     crossing = place[np.abs(place[:, 0] - 3.1).argmin()]
     assert crossing[1] > 1.6
+    # Nor does it enter the box, by the distance of a ball from a box in double precision.
+    low, high = np.array(BOX[:3]), np.array(BOX[3:])
+    gap = np.maximum(np.maximum(low - place, place - high), 0.0)
+    assert np.linalg.norm(gap, axis=1).min() >= 0.3
+    assert metrics.untraversable_steps == 0
+    assert np.abs(place[:, 0] - 3.0).min() < 0.1
 
 
 def test_the_goal_is_in_the_pictures_and_arrays(run, tmp_path) -> None:
@@ -84,12 +96,21 @@ def test_the_cost_of_the_way_is_what_it_says() -> None:
     assert found == pytest.approx(way + braking + 0.5 * 0.6 * (1.0 - math.cos(0.4)), abs=1e-4)
 
 
+def _with_box(place) -> jx.VolumePerception:
+    x, y, z = place[:3]
+    box = (x - 0.1, y - 0.1, z - 0.1, x + 0.1, y + 0.1, z + 0.1)
+    return jx.VolumePerception([CAMERA], SIDE, 0.3, parts=[jx.parts.KeepOutBoxes([box])])
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"goal": (3.1, 0.9, 1.2)}, "cannot reach from its start: .* accepted: a goal within 0.2"),
-        ({"goal": (99.0, 0.9, 1.2)}, "goal is .*99.0, .*cannot reach from its start"),
+        ({"goal": (99.0, 0.9, 1.2)}, "goal is .*99, .*cannot reach from its start"),
         ({"goal": GOAL, "targets": [GOAL]}, "beside targets; accepted: one of them"),
+        ({"goal": GOAL, "perception": _with_box(START)}, r"start is \(1, 0.9, 1.2\), in a keep-"),
+        ({"goal": GOAL, "perception": _with_box(GOAL)}, r"goal is \(6.5, 0.9, 1.3\), in a keep-"),
+        ({"targets": [GOAL], "perception": _with_box(GOAL)}, "targets are 1, all in keep-out b"),
         ({"goal": (1.0, 2.0)}, "goal is .* accepted: 3 finite numbers"),
         ({"goal": GOAL, "goal_radius": 0.0}, "goal_radius is 0.0; accepted"),
         (
@@ -114,3 +135,14 @@ def test_a_goal_needs_the_whole_map_and_a_controller_that_knows_it() -> None:
     _, belief = given.init(None)
     with pytest.raises(ValueError, match="belief has no goal; accepted: the belief of a perc"):
         flying.step(flying.init(), given.start, belief, key=jax.random.key(0))
+
+
+def test_what_is_in_a_box_does_not_count() -> None:
+    plain = volume(start=START)
+    barred = volume(start=START, perception=jx.VolumePerception([CAMERA], SIDE, 0.3, parts=[BOXES]))
+    gone = np.asarray(plain.observable) & ~np.asarray(barred.observable)
+    # 0.6 m by 0.8 m by 2 m of it are beside the wall, and the rest is free.
+    box = np.zeros(gone.shape, bool)
+    box[:, 8:12, 12:18] = True
+    np.testing.assert_array_equal(gone, box & np.asarray(plain.observable))
+    assert float(barred.num_observable) == np.asarray(barred.observable).sum()

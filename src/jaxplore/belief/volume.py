@@ -1,8 +1,10 @@
 """How a robot comes to know a volume: the map, distances, information, guidance."""
 
 import dataclasses
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,6 +22,7 @@ from jaxplore.belief.coarse_voxels import (
     update_coarse,
 )
 from jaxplore.belief.exploration_field import information_sources
+from jaxplore.belief.part import Part, as_parts
 from jaxplore.belief.robot_cells import free_around
 from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shift_array, window_shape
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
@@ -31,7 +34,7 @@ from jaxplore.belief.volume_roads import NARROWEST, VolumeRoads
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import clearance_of_volume, update_clearance
 from jaxplore.maps.volume_field import VolumeField
-from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.maps.voxel_grid import CERTAIN, VoxelGrid
 from jaxplore.maps.window import Window
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.volume import (
@@ -74,6 +77,7 @@ class VolumePerception(eqx.Module):
         goal_heading: heading at the goal [rad]; any when absent.
         unknown_factor: additional cost of a metre of the way to the goal where the robot is not
             known to fit, in metres.
+        parts: what the robot knows beside its map, such as `jaxplore.parts.KeepOutBoxes`.
 
     Raises:
         ValueError: no sensor, a part of another class, a number outside its range, a window beside
@@ -92,6 +96,7 @@ class VolumePerception(eqx.Module):
     goal: Float[Array, "3"] | None
     goal_heading: Scalar | None
     unknown_factor: Scalar
+    parts: tuple[Part, ...]
     table: VoxelTable
     in_view: Float[Array, "A A"]
     towards: Float[Array, "A A"]
@@ -122,6 +127,7 @@ class VolumePerception(eqx.Module):
         goal: Vector | None = None,
         goal_heading: ArrayLike | None = None,
         unknown_factor: ArrayLike = 0.5,
+        parts: Sequence[Part] = (),
     ) -> None:
         _kinds.instance("sensors", sensors, list, tuple)
         for each in sensors:
@@ -163,6 +169,7 @@ class VolumePerception(eqx.Module):
             None if goal_heading is None else _checks.scalar("goal_heading", goal_heading)
         )
         self.unknown_factor = _checks.scalar("unknown_factor", unknown_factor, at_least=0.0)
+        self.parts = as_parts(parts, (), None, dimensions=3)
         if goal is None and goal_heading is not None:
             raise ValueError("goal_heading is given without a goal; accepted: with one")
         if goal is not None and self.extents is not None:
@@ -228,9 +235,13 @@ class VolumePerception(eqx.Module):
         beyond: RollingMap | None,
     ) -> VolumeBelief:
         """Return a belief with what follows from its grid, before the next fields."""
-        clearance, goal = clearance_of_volume(grid, self.reach), None
+        states = {part.name: part.init(grid) for part in self.parts}
+        barred = self._barred_by(states)
+        clearance = clearance_of_volume(grid, self.reach, _close(~grid.is_free, barred))
+        goal = None
         if self.goal is not None:
-            walls = clearance_of_volume(grid, self.reach, grid.is_occupied).values
+            solid = _close(grid.is_occupied, barred)
+            walls = clearance_of_volume(grid, self.reach, solid).values
             room, way = coarse_room(walls, self.pool), jnp.zeros(2)
             goal = GoalKnowledge(self.goal, self.goal_heading, walls, room, way)
         guidance = blank_field(grid, self.pool)
@@ -242,14 +253,29 @@ class VolumePerception(eqx.Module):
             view,
             view,
             guidance,
-            coarse_states(grid, self.pool),
+            coarse_states(_see_through(grid, barred), self.pool),
             coarse_room(clearance.values, self.pool),
             changed,
             sectors,
             dwell,
             beyond,
             goal,
+            states,
         )
+
+    def barred_voxels(self, grid: VoxelGrid) -> Bool[Array, "D H W"] | None:
+        """Return the voxels that the robot must not enter, or None if it may enter all.
+
+        Args:
+            grid: a map.
+        """
+        return self._barred_by({part.name: part.init(grid) for part in self.parts})
+
+    def _barred_by(self, states: Mapping[str, Any]) -> Bool[Array, "D H W"] | None:
+        """Return the voxels that the parts bar, given the states of these; None without any."""
+        given = [part.closed_cells(states[part.name]) for part in self.parts]
+        barred = [each for each in given if each is not None]
+        return functools.reduce(jnp.logical_or, barred) if barred else None
 
     def update(
         self,
@@ -263,8 +289,11 @@ class VolumePerception(eqx.Module):
         grid = belief.grid
         for sensor, scan in zip(self.sensors, scans, strict=True):
             grid = sensor.update(grid, position, rotation, scan, self.sensor_model, window)
-        clearance = update_clearance(grid, belief.clearance.values, window, self.reach)
+        barred = self._barred_by(belief.parts)
+        closed = None if barred is None else ~grid.is_free | barred
+        clearance = update_clearance(grid, belief.clearance.values, window, self.reach, closed)
         seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
+        seen = _see_through(seen, None if barred is None else window.read(barred))
         states, rooms = (
             coarse_states(seen, self.pool),
             coarse_room(window.read(clearance), self.pool),
@@ -276,7 +305,8 @@ class VolumePerception(eqx.Module):
         changed = columns.write(belief.changed, before | is_new.any(axis=0))
         goal = belief.goal
         if goal is not None:
-            walls = update_clearance(grid, goal.walls, window, self.reach, grid.is_occupied)
+            solid = _close(grid.is_occupied, barred)
+            walls = update_clearance(grid, goal.walls, window, self.reach, solid)
             wide = coarse_room(window.read(walls), self.pool)
             wall_room, _, _ = update_coarse(goal.room, wide, window, self.pool)
             goal = dataclasses.replace(goal, walls=walls, room=wall_room)
@@ -460,3 +490,20 @@ class VolumePerception(eqx.Module):
         shape = self.window_shape(grid.shape, grid.resolution)
         window = eqx.tree_at(lambda each: each.log_odds, grid, jnp.zeros(shape))
         return blank_field(window, self.pool)
+
+
+def _close(
+    closed: Bool[Array, "D H W"], barred: Bool[Array, "D H W"] | None
+) -> Bool[Array, "D H W"]:
+    """Return the closed voxels with those that the robot must not enter."""
+    return closed if barred is None else closed | barred
+
+
+def _see_through(grid: VoxelGrid, barred: Bool[Array, "D H W"] | None) -> VoxelGrid:
+    """Return a grid in which what the robot must not enter is free, unless it is known to be
+    occupied: nothing is to be learned there."""
+    if barred is None:
+        return grid
+    log_odds = jnp.where(barred & ~grid.is_occupied, -CERTAIN, grid.log_odds)
+    clear: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, grid, log_odds)
+    return clear

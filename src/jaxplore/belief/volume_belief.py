@@ -1,5 +1,7 @@
 """What a robot knows of a volume."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 from jaxtyping import Array, Bool, Float, Int
@@ -54,6 +56,7 @@ class VolumeBelief(eqx.Module):
             more [s].
         beyond: what is known beyond the window; None where the belief is of the whole volume.
         goal: what is known of the way to the goal; None without a goal.
+        parts: state of each part of the perception, by its name.
     """
 
     position: Float[Array, "3"]
@@ -69,6 +72,7 @@ class VolumeBelief(eqx.Module):
     dwell: Float[Array, "A D H W"]
     beyond: RollingMap | None = None
     goal: GoalKnowledge | None = None
+    parts: dict[str, Any] = eqx.field(default_factory=dict)
 
     @property
     def whole(self) -> VoxelGrid:

@@ -24,7 +24,7 @@ def goal_roads(
     A place is open if the nearest voxel known to be occupied is `least` [m] away or more
     (free-space assumption). A metre costs
 
-        (1 + t) (1 + (unknown_factor + near) u)
+        (1 + t) (1 + (unknown_factor + near^2) u)
 
     with t from 0 to 1 where the walls are nearer than three times `required` [m], and u 1 where the
     robot is not known to fit and 0 elsewhere. `near` is the time for which the robot has looked at
@@ -36,7 +36,7 @@ def goal_roads(
     distance to an occupied voxel at the points of half the spacing [m].
     """
     tightness = jnp.clip(3.0 - wall_room[::2, ::2, ::2] / required, 0.0, 2.0) / 2.0
-    doubt = jnp.where(roads.is_open, 0.0, unknown_factor + near)
+    doubt = jnp.where(roads.is_open, 0.0, unknown_factor + near * near)
     slowness = (1.0 + tightness) * (1.0 + doubt)
     return VolumeRoads(wall_room >= least, slowness, roads.origin, roads.spacing)
 

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxplore._text import printable_path
+from jaxplore.belief.part import Part
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.build.parts import (
     build_faults,
@@ -26,6 +27,7 @@ from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, rea
 from jaxplore.maps.generators.volumes import START, generate_volume
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
+from jaxplore.parts.keep_out_boxes import KeepOutBoxes
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
     volume_explorer,
@@ -61,6 +63,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         robot.radius,
         goal=goal,
         goal_heading=None if goal is None else settings.goal_heading,
+        parts=_parts(settings, datum),
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
     )
@@ -87,6 +90,16 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),
     )
+
+
+def _parts(settings: VolumeSettings, datum: Datum) -> tuple[Part, ...]:
+    """Build what the robot knows beside its map."""
+    if settings.keep_out is None:
+        return ()
+    boxes = [
+        [*datum.to_local(box[:3]), *datum.to_local(box[3:])] for box in settings.keep_out.boxes
+    ]
+    return (KeepOutBoxes(boxes),)
 
 
 def build_world(settings: VolumeSettings) -> tuple[VoxelGrid, Datum]:

@@ -290,6 +290,9 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "lidar": Reader("runs with a lidar", lambda settings: settings.lidar is not None),
         "file": Reader("volumes from a file", lambda settings: settings.volume not in GENERATED),
         "generated": _GENERATED,
+        "keep_out": Reader(
+            "runs with keep-out boxes", lambda settings: settings.keep_out is not None
+        ),
     },
 }
 """Readers by the name of a setting, or of a section for all its settings that have no other. What

@@ -153,6 +153,18 @@ class VolumeFieldSettings(Section):
     unknown_factor: NonNegative = setting(VolumePerception, "unknown_factor")
 
 
+class BoxSettings(Section):
+    """Boxes that the robot must not enter: see `jaxplore.parts.KeepOutBoxes`.
+
+    Args:
+        boxes: boxes (x_min, y_min, z_min, x_max, y_max, z_max) with z up [m].
+    """
+
+    boxes: Annotated[
+        tuple[tuple[Real, Real, Real, Real, Real, Real], ...], Field(max_length=MOST_NAMES)
+    ] = ()
+
+
 class VolumeControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.volume_explorer`, and
     `jaxplore.planning.volume_informative_mppi` for two-layer and parallel."""
@@ -207,6 +219,7 @@ class VolumeSettings(RunSettings):
         search: targets to find, a list of places (x, y, z) with z up [m]; the run then ends when
             all have been seen.
         goal: goal (x, y, z) with z up [m]; the run then ends when the robot has come to rest there.
+        keep_out: boxes that the robot must not enter; none when absent.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.
@@ -230,6 +243,7 @@ class VolumeSettings(RunSettings):
     goal_heading: Real | None = setting(VolumeScenario, "goal_heading")
     goal_tolerance: Positive = setting(VolumeScenario, "goal_tolerance")
     goal_speed: Positive = setting(VolumeScenario, "goal_speed")
+    keep_out: BoxSettings | None = None
     time_limit: Duration = 300.0
     target_coverage: Share = setting(VolumeScenario, "target_coverage")
     give_up_after: Duration | None = setting(VolumeScenario, "give_up_after")

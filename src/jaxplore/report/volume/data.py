@@ -35,6 +35,7 @@ class VolumeRecord(NamedTuple):
         effective_sample_size: effective sample size of the controller's rollouts.
         is_finite: whether any rollout had a finite cost.
         targets_seen: number of targets that were seen so far; None without targets.
+        is_untraversable: whether part of the robot is in a keep-out box; None without any.
     """
 
     state: StateVector
@@ -45,6 +46,7 @@ class VolumeRecord(NamedTuple):
     effective_sample_size: Scalar
     is_finite: Flag
     targets_seen: Count | None = None
+    is_untraversable: Flag | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -99,6 +101,7 @@ class VolumeData(RunData):
         targets: (M, 3) positions (x, y, z) of the targets [m].
         goal: (3,) position (x, y, z) of the goal [m]; None without one.
         is_at_goal: whether the robot was at rest at its goal at the end.
+        boxes: (B, 6) keep-out boxes (x_min, y_min, z_min, x_max, y_max, z_max) [m].
     """
 
     records: VolumeRecord
@@ -117,6 +120,7 @@ class VolumeData(RunData):
     targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
     goal: np.ndarray | None = None
     is_at_goal: bool = False
+    boxes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 6)))
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
@@ -126,6 +130,7 @@ class VolumeData(RunData):
             "origin": move_points(self.origin, offset),
             "targets": move_points(self.targets, offset),
             "goal": None if self.goal is None else move_points(self.goal, offset),
+            "boxes": move_points(move_points(self.boxes, offset), offset, (3, 4)),
         }
 
     @property
@@ -170,6 +175,7 @@ class VolumeMetrics(Metrics):
         targets_seen: number of targets that were seen.
         last_target_at: time at which the last target was seen [s]; None if some were not.
         goal_distance: distance from the goal at the end [m]; None without a goal.
+        untraversable_steps: number of steps that ended with part of the robot in a keep-out box.
         curve: time, coverage and path, and with targets how many were found, for plots.
     """
 
@@ -186,6 +192,7 @@ class VolumeMetrics(Metrics):
     targets_seen: int
     last_target_at: float | None
     goal_distance: float | None
+    untraversable_steps: int
     curve: dict[str, list[float | None]]
     columns = (
         Column.num_finished(),
@@ -221,6 +228,11 @@ class VolumeMetrics(Metrics):
             *numbers("goal", "{:.2f} m away", self.goal_distance),
             ("path", f"{self.path_length:.1f} m, {self.mean_speed:.2f} m/s in the mean"),
             ("collisions", str(self.collisions)),
+            *(
+                [("untraversable", f"{self.untraversable_steps} steps")]
+                if self.untraversable_steps
+                else []
+            ),
             *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
             *numbers("sample size", "{:.1f} effective", self.mean_effective_sample_size),
             *self.last_rows(),
@@ -263,5 +275,8 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         goal_distance=None
         if data.goal is None
         else float(np.linalg.norm(data.positions[-1] - data.goal)),
+        untraversable_steps=0
+        if records.is_untraversable is None
+        else int(np.asarray(records.is_untraversable, bool).sum()),
         curve=thin_series(curve, period),
     )

@@ -39,6 +39,7 @@ from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_up
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.maps.window import read_first
+from jaxplore.parts.keep_out_boxes import KeepOutBoxes
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
@@ -113,7 +114,8 @@ class VolumeScenario(Scenario):
             voxel that the robot touches it, a rate that is no whole fraction, a coverage outside
             (0, 1], a window of the perception that is too small, a target that is not in an
             observable voxel, targets beside a goal, a goal where the robot cannot get from its
-            start, a perception made for another goal.
+            start, a perception made for another goal, a start, a goal or all targets in keep-out
+            boxes.
     """
 
     frame_type = VolumeFrame
@@ -181,20 +183,27 @@ class VolumeScenario(Scenario):
         radius = float(robot.radius)
         solid = ~np.asarray(world.is_free)
         side = world.resolution
-        places = find_fitting_places(
-            solid, _start_voxel(solid, world, place, radius, datum), radius / side
-        )
+        begin = _start_voxel(solid, world, place, radius, datum)
+        barred = None if perception is None else perception.barred_voxels(world)
+        is_barred = np.zeros(world.shape, bool) if barred is None else np.asarray(barred)
+        if is_barred[tuple(np.floor(begin).astype(int))]:
+            raise ValueError(
+                f"start is {_show(place, datum)}, in a keep-out box; accepted: outside of all"
+            )
+        places = find_fitting_places(solid | is_barred, begin, radius / side)
         views = [(each.max_range / side, *each.elevations) for each in given]
         seen = observable(solid, places, views)
-        self.observable = on_device(seen)
-        self.num_observable = on_device(np.asarray(np.count_nonzero(seen), np.float32))
-        self.targets = _check_targets(targets, world, seen, datum)
+        self.targets = _check_targets(targets, world, seen, is_barred, datum)
+        counted = seen & ~is_barred
+        self.observable = on_device(counted)
+        self.num_observable = on_device(np.asarray(np.count_nonzero(counted), np.float32))
         self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
         ends = goal_radius, goal_heading, goal_tolerance, goal_speed
         check = GoalCheck.of((0.0, 0.0, 0.0) if goal is None else goal, *ends, dimensions=3)
         self.goal_check = None if goal is None else check
         if goal is not None:
-            _check_goal(check, world, places, radius, datum, has_targets=bool(self.targets.size))
+            has_targets = bool(self.targets.size)
+            _check_goal(check, world, places, is_barred, radius, datum, has_targets=has_targets)
         perception = _check_perception(perception, given, world, robot, self.goal_check)
         perception.window_shape(world.shape, side)
         self.perception = perception
@@ -310,6 +319,7 @@ class VolumeScenario(Scenario):
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
             targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None,
+            is_untraversable=self._is_barred(after),
         )
         if self.goal_check is not None:
             motion = Motion.between(self.robot, state.robot, after, self.control_period)
@@ -433,9 +443,25 @@ class VolumeScenario(Scenario):
             targets=np.asarray(self.targets),
             goal=None if self.goal_check is None else np.asarray(self.goal_check.position),
             is_at_goal=self.goal_check is not None and not bool(self.is_unfinished(last)),
+            boxes=np.zeros((0, 6)) if self.keep_out is None else np.asarray(self.keep_out.boxes),
             given_up_step=run.num_steps if bool(self.is_given_up(run.state.task)) else None,
         )
         return local.move(self.datum.offset)
+
+    @property
+    def keep_out(self) -> KeepOutBoxes | None:
+        """Boxes that the robot must not enter; None without any."""
+        for part in self.perception.parts:
+            if isinstance(part, KeepOutBoxes):
+                return part
+        return None
+
+    def _is_barred(self, state: StateVector) -> Flag | None:
+        """Check whether a part of the robot is in a keep-out box; None without any."""
+        boxes = self.keep_out
+        if boxes is None:
+            return None
+        return boxes.distance(position_upwards(state)) < self.robot.radius
 
     def _is_there(self, check: GoalCheck, state: VolumeState) -> Flag:
         """Check whether the robot has come to rest at its goal."""
@@ -459,32 +485,48 @@ def voxel_states(log_odds: Float[Array, "*N"]) -> UInt8[Array, "*N"]:
 
 
 def _check_targets(
-    targets: Rows | None, world: VoxelGrid, seen: np.ndarray, datum: Datum
+    targets: Rows | None,
+    world: VoxelGrid,
+    seen: np.ndarray,
+    is_barred: np.ndarray,
+    datum: Datum,
 ) -> Float[Array, "M 3"]:
     """Return targets (M, 3) [m], each in a voxel that a level sensor can see.
 
     Raises:
-        ValueError: another shape, or a target elsewhere.
+        ValueError: another shape, a target elsewhere, or all targets in keep-out boxes.
     """
     if targets is None:
         return on_device(np.zeros((0, 3), np.float32))
-    places = _checks.array("targets", targets, ("M", 3), may_be_empty=True)
+    places, outside = _checks.array("targets", targets, ("M", 3), may_be_empty=True), 0
     for index, place in enumerate(np.asarray(places, np.float64)):
         voxel = np.floor((place - np.asarray(world.origin))[::-1] / world.resolution).astype(int)
         is_in = ((voxel >= 0) & (voxel < seen.shape)).all()
         if not is_in or not seen[tuple(voxel)]:
-            shown = ", ".join(f"{round(float(each), 3):.10g}" for each in datum.round_to_map(place))
             raise ValueError(
-                f"targets[{index}] is ({shown}); accepted: a free voxel that a sensor sees from "
-                "where the robot can get"
+                f"targets[{index}] is {_show(place, datum)}; accepted: a free voxel that a sensor "
+                "sees from where the robot can get"
             )
+        outside += not is_barred[tuple(voxel)]
+    if len(places) and not outside:
+        raise ValueError(
+            f"targets are {len(places)}, all in keep-out boxes; accepted: one outside at least"
+        )
     return places
+
+
+def _show(place: np.ndarray, datum: Datum) -> str:
+    """Return the coordinates (x, y, z) of a place in the file's, for a message."""
+    # To the millimetre: single precision has no more.
+    rounded = (round(float(each), 3) for each in datum.round_to_map(place[:3]))
+    return f"({', '.join(f'{each:.10g}' for each in rounded)})"
 
 
 def _check_goal(
     check: GoalCheck,
     world: VoxelGrid,
     places: np.ndarray,
+    is_barred: np.ndarray,
     radius: float,
     datum: Datum,
     *,
@@ -494,9 +536,12 @@ def _check_goal(
 
     `places` (D, H, W) are these voxels, and `radius` is that of the robot [m].
     """
-    at = datum.round_to_map(check.position).tolist()
+    at = _show(np.asarray(check.position), datum)
     if has_targets:
         raise ValueError(f"goal is {at} beside targets; accepted: one of them")
+    voxel = np.asarray(jnp.floor(world.to_grid(check.position))).astype(int)
+    if ((voxel >= 0) & (voxel < world.shape)).all() and is_barred[tuple(voxel)]:
+        raise ValueError(f"goal is {at}, in a keep-out box; accepted: outside of all")
     side = world.resolution
     goal = np.asarray(check.position, np.float64) - np.asarray(world.origin, np.float64)
     centres = (np.argwhere(places)[:, ::-1] + 0.5) * side
@@ -546,9 +591,7 @@ def _start_voxel(
     side, origin = world.resolution, np.asarray(world.origin, np.float64)
     grid = ((start[:3] - origin) / side)[::-1]
     voxel = np.floor(grid).astype(int)
-    # To the millimetre: single precision has no more.
-    shown = ", ".join(f"{round(float(each), 3):.10g}" for each in datum.round_to_map(start[:3]))
-    where = f"start is ({shown})"
+    where = f"start is {_show(start, datum)}"
     if not ((voxel >= 0) & (voxel < solid.shape)).all():
         ends = origin + np.array(solid.shape[::-1]) * side
         lows, highs = datum.round_to_map(origin), datum.round_to_map(ends)
