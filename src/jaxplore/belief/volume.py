@@ -466,7 +466,7 @@ class VolumePerception(eqx.Module):
             )
             window = there.window(grid, grid.shape)
             made = self._make_belief(position, window, changed | ~is_old, sectors, dwell, there)
-            return made.split()[0]
+            return dataclasses.replace(made, obstacles=belief.obstacles).split()[0]
 
         known: VolumeBelief = eqx.combine(jax.lax.cond(is_due, move, lambda: rest), stored)
         return known

@@ -7,6 +7,7 @@ import jax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import Scalar
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.rolling_map import RollingMap
 from jaxplore.belief.view_field import ViewField
 from jaxplore.maps.volume_field import VolumeField
@@ -57,6 +58,7 @@ class VolumeBelief(eqx.Module):
         beyond: what is known beyond the window; None where the belief is of the whole volume.
         goal: what is known of the way to the goal; None without a goal.
         parts: state of each part of the perception, by its name.
+        obstacles: moving obstacles that the robot knows; None where nothing moves.
     """
 
     position: Float[Array, "3"]
@@ -73,6 +75,7 @@ class VolumeBelief(eqx.Module):
     beyond: RollingMap | None = None
     goal: GoalKnowledge | None = None
     parts: dict[str, Any] = eqx.field(default_factory=dict)
+    obstacles: Obstacles | None = None
 
     @property
     def whole(self) -> VoxelGrid:

@@ -24,6 +24,7 @@ from jaxplore.control.base import Controller
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, read_volume
+from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.generators.volumes import START, generate_volume
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
@@ -40,7 +41,9 @@ from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments, parameter_default
 from jaxplore.settings.volume import GENERATED, VolumeSettings, make_volume_settings
 from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.volume.observable import room_around
+from jaxplore.simulation.volume.people import floor_plan
 from jaxplore.simulation.volume.scenario import VolumeScenario
 
 _HIGH = 5.6
@@ -74,6 +77,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         _start(settings, world, robot, datum),
         perception=perception,
         goal=goal,
+        moving_obstacles=_people(settings, world),
         targets=[datum.to_local(each) for each in settings.search] or None,
         faults=build_faults(settings.faults, datum),
         datum=datum,
@@ -100,6 +104,18 @@ def _parts(settings: VolumeSettings, datum: Datum) -> tuple[Part, ...]:
         [*datum.to_local(box[:3]), *datum.to_local(box[3:])] for box in settings.keep_out.boxes
     ]
     return (KeepOutBoxes(boxes),)
+
+
+def _people(settings: VolumeSettings, world: VoxelGrid) -> MovingObstacles | None:
+    """Build the people who walk in the volume; None without any."""
+    given = settings.people
+    if not given.number:
+        return None
+    seed = settings.seed if given.seed is None else given.seed
+    people = walking_people(
+        floor_plan(world), given.number, speed=given.speed, radius=given.radius, seed=seed
+    )
+    return MovingObstacles(people)
 
 
 def build_world(settings: VolumeSettings) -> tuple[VoxelGrid, Datum]:
@@ -219,6 +235,7 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
         **arguments(settings.controller, volume_explorer),
         **arguments(settings.robot, volume_explorer),
         "control_period": 1.0 / settings.rates.control,
+        "has_moving_obstacles": scenario.moving_obstacles is not None,
         "has_goal": scenario.goal_check is not None,
     }
     name = settings.architecture

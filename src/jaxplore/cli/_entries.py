@@ -27,6 +27,8 @@ _OF_VOLUMES = (
     "time_limit",
     "start",
     "goal",
+    "people__number",
+    "people__speed",
     "target_coverage",
     "resolution",
     "architecture",

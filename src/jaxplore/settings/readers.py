@@ -290,6 +290,7 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "lidar": Reader("runs with a lidar", lambda settings: settings.lidar is not None),
         "file": Reader("volumes from a file", lambda settings: settings.volume not in GENERATED),
         "generated": _GENERATED,
+        **dict.fromkeys(("people.speed", "people.radius", "people.seed"), _AMONG_PEOPLE),
         "keep_out": Reader(
             "runs with keep-out boxes", lambda settings: settings.keep_out is not None
         ),

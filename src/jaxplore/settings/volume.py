@@ -5,10 +5,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES
+from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES, MOST_PEOPLE
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.files.volume_file import SUFFIXES, read_volume
+from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.generators.volumes import generate_volume
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
@@ -165,6 +166,20 @@ class BoxSettings(Section):
     ] = ()
 
 
+class VolumePeopleSettings(Section):
+    """People who walk on the floor of the volume: see `jaxplore.maps.walking_people`.
+
+    Args:
+        number: number of people.
+        seed: seed of their ways; the run's when absent.
+    """
+
+    number: Annotated[int, Field(ge=0, le=MOST_PEOPLE)] = 0
+    speed: NonNegative = setting(walking_people, "speed")
+    radius: Body = setting(walking_people, "radius")
+    seed: Seed | None = None
+
+
 class VolumeControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.volume_explorer`, and
     `jaxplore.planning.volume_informative_mppi` for two-layer and parallel."""
@@ -220,6 +235,7 @@ class VolumeSettings(RunSettings):
             all have been seen.
         goal: goal (x, y, z) with z up [m]; the run then ends when the robot has come to rest there.
         keep_out: boxes that the robot must not enter; none when absent.
+        people: people who walk in the volume.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.
@@ -244,6 +260,8 @@ class VolumeSettings(RunSettings):
     goal_tolerance: Positive = setting(VolumeScenario, "goal_tolerance")
     goal_speed: Positive = setting(VolumeScenario, "goal_speed")
     keep_out: BoxSettings | None = None
+    people: VolumePeopleSettings = VolumePeopleSettings()
+    tracking_noise: tuple[NonNegative, NonNegative] = setting(VolumeScenario, "tracking_noise")
     time_limit: Duration = 300.0
     target_coverage: Share = setting(VolumeScenario, "target_coverage")
     give_up_after: Duration | None = setting(VolumeScenario, "give_up_after")

@@ -17,6 +17,7 @@ from jaxplore.costs.base import Cost
 from jaxplore.costs.bounds import SpeedLimitCost
 from jaxplore.costs.effort import QuadraticControlCost
 from jaxplore.costs.exploration import PotentialCost, StrategyReferenceCost
+from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.volume import (
     AttitudeCost,
@@ -61,6 +62,7 @@ def volume_explorer(
     speed_weight: ArrayLike = 10.0,
     control_weight: ArrayLike = 0.01,
     has_goal: bool = False,
+    has_moving_obstacles: bool = False,
 ) -> MPPI:
     """Build MPPI with which a quadrotor explores a volume, or flies to a goal in it.
 
@@ -85,6 +87,8 @@ def volume_explorer(
         speed_weight: weight of `SpeedLimitCost`.
         control_weight: weight of `QuadraticControlCost`.
         has_goal: whether the perception has a goal; information then has no cost.
+        has_moving_obstacles: whether the belief holds moving obstacles, to which `obstacle_weight`
+            times a `MovingObstacleCost` applies.
 
     Raises:
         ValueError: a robot that is no quadrotor, a value that a part does not accept.
@@ -111,6 +115,9 @@ def volume_explorer(
     )
     if not has_goal:
         cost = cost + looking
+    if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
+        moving = MovingObstacleCost(clearance=1.2, collision=5.0, margin=0.15, reaction_time=0.2)
+        cost = cost + scale_cost("obstacle_weight", obstacle_weight, moving)
     cost = (
         cost
         + scale_cost("blind_weight", blind_weight, BlindFlightCost())

@@ -12,9 +12,13 @@ from jaxplore._types import ArrayLike, ControlVector, Flag, Key, Scalar, StateVe
 from jaxplore.belief.belief import part
 from jaxplore.belief.volume_belief import GoalKnowledge, VolumeBelief
 from jaxplore.control.base import Controller, Info, ModelBasedController, SampledPlan
+from jaxplore.costs.moving import MovingObstacleCost
+from jaxplore.dynamics.base import State
 from jaxplore.dynamics.quadrotor import Quadrotor, position_upwards
 from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
 
+AWAY = 0.8
+"""Distance of what moves beyond which the position controller takes over [m]."""
 POINTS = 9
 """Points of the straight line to the goal at which the clearance is read."""
 
@@ -23,7 +27,8 @@ class GoalApproach(ModelBasedController):
     """Flies to a goal with another controller, and over the last metre with a position controller.
 
     Within `near` of the goal, where the straight line to it keeps the robot's radius from all that
-    is not known to be free, the command is that of `QuadrotorFollower`, which comes to rest at the
+    is not known to be free, and where nothing that moves is within 0.8 m, the command is that of
+    `QuadrotorFollower`, which comes to rest at the
     goal and turns to its heading if it has one. Sampled commands vary by more than the speed at
     which a robot is at rest.
 
@@ -78,7 +83,11 @@ class GoalApproach(ModelBasedController):
         shares = jnp.linspace(0.0, 1.0, POINTS)[:, None]
         line: Float[Array, "9 3"] = here + shares * gap
         room = jax.vmap(belief.clearance)(line).min()
-        return (jnp.sum(gap * gap) < self.near * self.near) & (room >= self.dynamics.radius)
+        is_free = (jnp.sum(gap * gap) < self.near * self.near) & (room >= self.dynamics.radius)
+        if belief.obstacles is None:
+            return is_free
+        state = State(observation, self.dynamics, self.dynamics.default_control)
+        return is_free & (MovingObstacleCost().room(state, belief.obstacles) > AWAY)
 
     def inspect(
         self,

@@ -61,6 +61,7 @@ class VolumeFrame(Frame):
         voxels: (ceil(D H W / 8),) bits of the voxels that the robot knows to be occupied.
         plan: (T + 1, 3) positions of the nominal trajectory, with z up [m].
         is_found: (M,) which targets were seen so far.
+        movers: (P, 3) true moving obstacles, (x, y, radius) [m].
     """
 
     state: np.ndarray
@@ -69,8 +70,9 @@ class VolumeFrame(Frame):
     voxels: np.ndarray
     plan: np.ndarray
     is_found: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
+    movers: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
 
-    places = ("plan",)
+    places = ("plan", "movers")
 
     def find_occupied(self, shape: tuple[int, ...]) -> np.ndarray:
         """Return the voxels (D, H, W) that the robot knows to be occupied."""

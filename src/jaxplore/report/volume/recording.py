@@ -91,6 +91,11 @@ class VolumeRecording(VolumeData, Recording):
             for x, y in ((place[0], level.height - place[1]), (place[0], size[1] - place[2])):
                 box = (x - radius, y - radius, x + radius, y + radius)
                 draw.ellipse(box, None if is_found else colours.TARGET, colours.TARGET, width)
+        for mover in frame.movers:
+            x, y = ((mover[:2] - self.origin[:2]) / self.resolution * pixels).tolist()
+            across = float(mover[2]) / self.resolution * pixels
+            edges = (x - across, level.height - y - across, x + across, level.height - y + across)
+            draw.ellipse(edges, colours.MOVER, colours.MOVER_EDGE, width)
         for box in self.boxes:
             (x, y, z), (right, up, top) = (
                 ((box[part] - self.origin) / self.resolution * pixels).tolist()

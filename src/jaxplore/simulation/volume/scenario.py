@@ -1,5 +1,6 @@
 """The scenario of a quadrotor that explores an unknown volume."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ from jaxplore._types import (
 )
 from jaxplore._xla import on_device
 from jaxplore.belief.gain import Gain
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
@@ -44,13 +46,17 @@ from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, Vo
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.robot.clock import whole_steps
+from jaxplore.robot.robot import tell
 from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import default_give_up_after
+from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.scenario import TOLD_NOISE
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
 from jaxplore.simulation.volume.observable import find_fitting_places, observable
+from jaxplore.simulation.volume.people import Cylinders
 
 TOUCHING = 1.0
 """Reach of the box in which the distance to solid voxels is examined [m]."""
@@ -61,7 +67,7 @@ class VolumeState(NamedTuple):
 
     `num_known` observable voxels are known to be free, and `gain` is the last rise of their share.
     `is_seen` (M,) says which targets have been seen. `motion` is that of the last step; None
-    without a goal.
+    without a goal. `moving` are the true moving obstacles of the run; None without any.
     """
 
     robot: StateVector
@@ -70,6 +76,7 @@ class VolumeState(NamedTuple):
     gain: Gain
     is_seen: Bool[Array, " M"]
     motion: Motion | None = None
+    moving: MovingObstacles | None = None
 
 
 class VolumeScenario(Scenario):
@@ -104,6 +111,11 @@ class VolumeScenario(Scenario):
         goal_heading: heading at the goal [rad]; any when absent.
         goal_tolerance: greatest error of the heading at the goal [rad].
         goal_speed: speed up to which the robot is at rest at the goal [m/s].
+        moving_obstacles: true moving obstacles, upright cylinders from the lower face of the volume
+            to 1.8 m above it; none when absent. The robot is told of those in sight, and the map
+            keeps nothing of them. Their start is drawn from the run's key.
+        tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
+            told.
         faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
             is not carried away.
         datum: point of a file's coordinates to which all positions here are relative; frames and
@@ -135,6 +147,8 @@ class VolumeScenario(Scenario):
     num_observable: Scalar
     targets: Float[Array, "M 3"]
     goal_check: GoalCheck | None
+    moving_obstacles: MovingObstacles | None
+    tracking_noise: Float[Array, "2"]
     faults: Faults | None
     reach: int = eqx.field(static=True)
 
@@ -157,6 +171,8 @@ class VolumeScenario(Scenario):
         goal_heading: ArrayLike | None = None,
         goal_tolerance: ArrayLike = GOAL_TOLERANCE,
         goal_speed: ArrayLike = GOAL_SPEED,
+        moving_obstacles: MovingObstacles | None = None,
+        tracking_noise: Vector = TOLD_NOISE,
         faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
@@ -171,6 +187,10 @@ class VolumeScenario(Scenario):
                 f"walls has shape {faults.walls.shape}; accepted: the world's, {world.shape}"
             )
         _kinds.instance("datum", datum, Datum)
+        _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
+        is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
+        self.moving_obstacles = None if is_still else moving_obstacles
+        self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
         self.placed = HostOnly(datum)
         several = isinstance(sensors, Sequence)
         given = tuple(sensors) if isinstance(sensors, Sequence) else (sensors,)
@@ -238,9 +258,13 @@ class VolumeScenario(Scenario):
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
         is_seen = jnp.zeros(self.targets.shape[0], bool)
-        nothing = jnp.zeros(())
+        nothing, moving = jnp.zeros(()), self.moving_obstacles
         motion = None if self.goal_check is None else Motion(nothing, nothing)
-        return VolumeState(self.start, belief, known, gain, is_seen, motion), belief
+        if moving is not None:
+            obstacles = Obstacles.unseen(moving.radius)
+            belief = dataclasses.replace(belief, obstacles=obstacles)
+            moving = moving if key is None else moving.at_random_phase(key)
+        return VolumeState(self.start, belief, known, gain, is_seen, motion, moving), belief
 
     def perceive(
         self, state: VolumeState, moment: Moment, key: Key
@@ -249,6 +273,7 @@ class VolumeScenario(Scenario):
         at, turn = position_upwards(moment.observed), attitude_upwards(moment.observed)
         elapsed = self.control_period * self.steps_per_field.astype(jnp.float32)
         truly, truly_turned = position_upwards(state.robot), attitude_upwards(state.robot)
+        people = self._people(state, moment.time)
 
         def scan_once(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
             before, known = given
@@ -257,6 +282,15 @@ class VolumeScenario(Scenario):
                 sensor.scan(world, truly, truly_turned, key=each)
                 for sensor, each in zip(self.sensors, keys, strict=True)
             ]
+            if people is not None:
+                scans = [
+                    people.block(scan, sensor, truly, truly_turned)
+                    for scan, sensor in zip(scans, self.sensors, strict=True)
+                ]
+                assert before.obstacles is not None
+                seen = self.sensors, world, truly, truly_turned, self.tracking_noise, key
+                told = tell(before.obstacles, people.tell(*seen))
+                before = dataclasses.replace(before, obstacles=told)
             window = self.perception.scan_window(before.grid, at, turn)
             old, log_odds = read_first(window, before.grid.log_odds)
             before = eqx.tree_at(lambda each: each.grid.log_odds, before, log_odds)
@@ -270,6 +304,9 @@ class VolumeScenario(Scenario):
 
         is_due = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
         belief, stored = state.belief.split()
+        if belief.obstacles is not None:
+            later = belief.obstacles.advance(self.control_period)
+            belief = dataclasses.replace(belief, obstacles=later)
         belief, known = jax.lax.cond(
             is_due, scan_once, lambda same: same, (belief, state.num_known)
         )
@@ -307,14 +344,16 @@ class VolumeScenario(Scenario):
         world = self.world_at(moment.step)
         moved = self.robot.step(state.robot, control, self.control_period)
         is_finite = jnp.all(jnp.isfinite(moved))
-        is_collision = is_finite & (self.clearance(moved, world) < 0.0)
+        # People move during the step as well, so contact is with where they are at its end.
+        people = self._people(state, moment.time + self.control_period)
+        is_collision = is_finite & (self._room(moved, world, people) < 0.0)
         after = jnp.where(is_finite, moved, state.robot)
         after = jnp.where(is_collision, self._stop(state.robot), after)
         record = VolumeRecord(
             state=after,
             control=control,
             coverage=self.coverage(state),
-            clearance=self.clearance(after, world),
+            clearance=self._room(after, world, people),
             is_collision=is_collision,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
@@ -399,6 +438,17 @@ class VolumeScenario(Scenario):
         squared = jnp.where(solid, jnp.sum(gap * gap, axis=0), float(reach**2))
         return jnp.sqrt(jnp.min(squared)) * world.resolution - self.robot.radius
 
+    def _people(self, state: VolumeState, time: Scalar) -> Cylinders | None:
+        """Return the moving obstacles at a time since the start [s]; None without any."""
+        return None if state.moving is None else Cylinders.of(state.moving, self.world, time)
+
+    def _room(self, state: StateVector, world: VoxelGrid, people: Cylinders | None) -> Scalar:
+        """Return the distance from the robot's edge to the nearest solid voxel or person [m]."""
+        room = self.clearance(state, world)
+        if people is None:
+            return room
+        return jnp.minimum(room, people.gap(position_upwards(state)) - self.robot.radius)
+
     def frame(
         self, state: VolumeState, moment: Moment, inspect: Inspect | None, key: Key
     ) -> dict[str, Any]:
@@ -418,6 +468,9 @@ class VolumeScenario(Scenario):
             "voxels": jnp.packbits(grid.is_occupied.reshape(-1)),
             "plan": plan,
             "is_found": state.is_seen,
+            "movers": jnp.zeros((0, 3))
+            if state.moving is None
+            else state.moving.discs(moment.time),
         }
 
     def recording(
