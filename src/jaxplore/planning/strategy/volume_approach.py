@@ -83,11 +83,14 @@ class GoalApproach(ModelBasedController):
         shares = jnp.linspace(0.0, 1.0, POINTS)[:, None]
         line: Float[Array, "9 3"] = here + shares * gap
         room = jax.vmap(belief.clearance)(line).min()
-        is_free = (jnp.sum(gap * gap) < self.near * self.near) & (room >= self.dynamics.radius)
+        is_free: Flag = (jnp.sum(gap * gap) < self.near * self.near) & (
+            room >= self.dynamics.radius
+        )
         if belief.obstacles is None:
             return is_free
         state = State(observation, self.dynamics, self.dynamics.default_control)
-        return is_free & (MovingObstacleCost().room(state, belief.obstacles) > AWAY)
+        is_alone: Flag = is_free & (MovingObstacleCost().room(state, belief.obstacles) > AWAY)
+        return is_alone
 
     def inspect(
         self,

@@ -619,8 +619,9 @@ def _check_perception(
     """Check that a perception has the goal of a scenario, or make one when absent."""
     goal, heading = (None, None) if check is None else (check.position, check.heading)
     if perception is None:
-        given = {"goal": goal, "goal_heading": heading}
-        return VolumePerception(sensors, world.resolution, robot.radius, **given)
+        return VolumePerception(
+            sensors, world.resolution, robot.radius, goal=goal, goal_heading=heading
+        )
     for name, own, wanted in (
         ("goal", perception.goal, goal),
         ("goal_heading", perception.goal_heading, heading),
