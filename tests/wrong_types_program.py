@@ -300,6 +300,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "ToeplitzNoise": {"weights": [0.2, 0.6, 0.2]},
         "Traffic": {"path": wide, "phi": [3.0], "offsets": [0.0], "rates": [1.0], "radii": [0.2]},
         "TrajectoryChoice": {"information": jx.TrajectoryInformation(pose)},
+        "KeepOutBoxes": {"boxes": [[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]]},
         "GoalApproach": {
             "flying": jx.volume_explorer(quadrotor, has_goal=True),
             "dynamics": quadrotor,
