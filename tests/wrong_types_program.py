@@ -305,6 +305,11 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "ToeplitzNoise": {"weights": [0.2, 0.6, 0.2]},
         "Traffic": {"path": wide, "phi": [3.0], "offsets": [0.0], "rates": [1.0], "radii": [0.2]},
         "TrajectoryChoice": {"information": jx.TrajectoryInformation(pose)},
+        "KeepOutBoxes": {"boxes": [[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]]},
+        "GoalApproach": {
+            "flying": jx.volume_explorer(quadrotor, has_goal=True),
+            "dynamics": quadrotor,
+        },
         "VolumeInformativeMPPI": {
             "mppi": jx.volume_explorer(quadrotor),
             "perception": seen,
@@ -399,7 +404,10 @@ def numbers() -> dict[str, Any]:
         "StateBoundsCost.scale": {"v": 1.0},
         "StateBoundsCost.upper": {"v": 1.0},
         "StateCost.target": {"x": 1.0},
+        "KeepOutBoxes.boxes": [[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]],
+        "VolumePerception.goal": [2.6, 2.0, 2.0],
         "VolumePerception.window": [8.0, 8.0, 4.0],
+        "VolumeScenario.goal": [2.6, 2.0, 2.0],
         "VolumeScenario.targets": [[2.6, 2.0, 2.0]],
         "World.forbidden": [[3.0, 3.0, 4.0, 4.0]],
         "World.goal": [4.0, 4.0],

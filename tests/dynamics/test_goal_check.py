@@ -87,3 +87,14 @@ def test_motion_is_that_of_the_step_also_upwards_and_across_a_full_turn() -> Non
 def test_numbers_that_are_no_bounds_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"goal_{name} is 0.0; accepted"):
         GoalCheck.of((0.0, 0.0), **{name: 0.0})
+
+
+def test_a_goal_in_a_volume_has_a_height_and_a_heading_behind_it() -> None:
+    check = GoalCheck.of([5.0, -3.0, 1.5], heading=0.5, dimensions=3)
+    there = np.array([5.0, -3.0, 1.6, 0.55])
+    assert check.is_reached(there, STANDING)
+    assert not check.is_reached(there + np.array([0.0, 0.0, 0.1, 0.0]), STANDING)
+    assert not check.is_reached(there + np.array([0.0, 0.0, 0.0, 0.2]), STANDING)
+    assert not check.is_reached(there, Motion(0.06, 0.0))
+    with pytest.raises(ValueError, match="accepted: 3 finite numbers"):
+        GoalCheck.of([5.0, -3.0], dimensions=3)

@@ -10,8 +10,14 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import distance_transform_edt
 
-from jaxplore.maps.volume_clearance import squared_distance
+from jaxplore.maps.volume_clearance import (
+    clearance_of_volume,
+    squared_distance,
+    update_clearance,
+)
 from jaxplore.maps.volume_field import VolumeField
+from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.maps.window import Window
 
 REACH = 5
 SHAPE = (6, 11, 14)
@@ -62,3 +68,23 @@ def test_an_extruded_plane_has_the_clearance_of_the_plane() -> None:
     found = np.sqrt(np.asarray(squared_distance(jnp.asarray(volume), 30)))
     planar = distance_transform_edt(~closed)
     np.testing.assert_allclose(found, np.broadcast_to(planar, volume.shape), rtol=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.03])
+def test_distances_to_other_voxels_follow_a_change_in_a_window(share: float) -> None:
+    rng, shape, reach = np.random.default_rng(6), (12, 15, 18), 2
+    grid = VoxelGrid.solid(rng.random(shape) < 0.4, 0.1)
+    before = rng.random(shape) < share
+    after = before.copy()
+    after[5, 6, 7:9] = ~before[5, 6, 7:9]
+
+    @jax.jit
+    def update(before, after):
+        # Twice the reach around the change.
+        window = Window.at(jnp.array([1, 2, 3]), (9, 9, 10), shape)
+        former = clearance_of_volume(grid, reach, before).values
+        return update_clearance(grid, former, window, reach, after)
+
+    wanted = distance_transform_edt(np.pad(~after, 1))[1:-1, 1:-1, 1:-1] - 0.5
+    found = np.minimum(np.asarray(update(before, after)), 0.1 * reach)
+    np.testing.assert_allclose(found, np.clip(0.1 * wanted, 0.0, 0.1 * reach), atol=1e-6)

@@ -170,6 +170,7 @@ _SOURCES = {
     "obstacles": "Belief(obstacles=...), or obstacles given to the cost",
     "tracks": "the belief of a Perception with a tracker",
     "to_goal": "the belief of a Perception with a goal apart",
+    "goal": "the belief of a perception with a goal",
     **dict.fromkeys(
         ("certainty", "position_variance"), "the belief of a scenario with a localisation"
     ),

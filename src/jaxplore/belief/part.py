@@ -62,6 +62,9 @@ class Part(eqx.Module):
 
     name: ClassVar[str]
     """Name of the part, under which its state is kept; no two parts of a robot share one."""
+    dimensions: ClassVar[int] = 2
+    """2 for a part of the plane, 3 for one of a volume. In a volume `init` and `closed_cells` are
+    called, with a `VoxelGrid` and masks (D, H, W)."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of the parts that must come before it."""
     is_revisiting: ClassVar[bool] = True
@@ -80,7 +83,7 @@ class Part(eqx.Module):
             ValueError: it cannot.
         """
 
-    def init(self, grid: OccupancyGrid) -> Any:
+    def init(self, grid: Any) -> Any:
         """Return the state before the first scan; None if the task gives one, or none is kept.
 
         Args:
@@ -128,7 +131,7 @@ class Part(eqx.Module):
         """
         return field
 
-    def closed_cells(self, own: Any) -> GridMask | None:
+    def closed_cells(self, own: Any) -> Bool[Array, "*cells"] | None:
         """Return the cells (H, W) that the robot must not enter, or None.
 
         Nothing is to be learned there either.
@@ -202,18 +205,25 @@ class Part(eqx.Module):
 
 @_kinds.check_arguments
 def as_parts(
-    parts: Sequence[Part], sensors: Sequence[Sensor], ground: Ground | None
+    parts: Sequence[Part],
+    sensors: Sequence[Sensor],
+    ground: Ground | None,
+    dimensions: int = 2,
 ) -> tuple[Part, ...]:
     """Return the parts of a robot as a tuple.
 
     Raises:
-        ValueError: something that is no part, two of one name, one without another that it needs,
-            or one that sensors or ground do not allow.
+        ValueError: something that is no part, a part of other `dimensions`, two of one name, one
+            without another that it needs, or one that sensors or ground do not allow.
     """
     if not isinstance(parts, (list, tuple)):
         _kinds.instance("parts", parts, list, tuple)
     names: list[str] = []
     for index, each in enumerate(parts):
+        if each.dimensions != dimensions:
+            kinds = {2: "the plane", 3: "a volume"}
+            given = f"{type(each).__name__}, of {kinds[each.dimensions]}"
+            raise ValueError(f"parts[{index}] is a {given}; accepted: parts of {kinds[dimensions]}")
         if each.name in names:
             raise ValueError(
                 f"parts[{index}] is a second {each.name!r}; accepted: one part of a name"

@@ -1,8 +1,10 @@
 """How a robot comes to know a volume: the map, distances, information, guidance."""
 
 import dataclasses
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,17 +22,19 @@ from jaxplore.belief.coarse_voxels import (
     update_coarse,
 )
 from jaxplore.belief.exploration_field import information_sources
+from jaxplore.belief.part import Part, as_parts
 from jaxplore.belief.robot_cells import free_around
 from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shift_array, window_shape
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
-from jaxplore.belief.volume_belief import VolumeBelief
+from jaxplore.belief.volume_belief import GoalKnowledge, VolumeBelief
+from jaxplore.belief.volume_goal import goal_roads, goal_sources, way_ahead
 from jaxplore.belief.volume_information import update_information
-from jaxplore.belief.volume_lattice import NODE, blank_field, volume_lattice
+from jaxplore.belief.volume_lattice import NODE, blank_field, points_of, volume_lattice
 from jaxplore.belief.volume_roads import NARROWEST, VolumeRoads
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import clearance_of_volume, update_clearance
 from jaxplore.maps.volume_field import VolumeField
-from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.maps.voxel_grid import CERTAIN, VoxelGrid
 from jaxplore.maps.window import Window
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.volume import (
@@ -69,9 +73,15 @@ class VolumePerception(eqx.Module):
         window: extents (x, y, z) of the box around the robot of which map, distances and
             information are kept [m], rounded up to whole blocks; the whole volume when absent. It
             moves with the robot. What leaves it is kept with one byte for each voxel.
+        goal: position (x, y, z) to which the robot flies, with z up [m]; it explores when absent.
+        goal_heading: heading at the goal [rad]; any when absent.
+        unknown_factor: additional cost of a metre of the way to the goal where the robot is not
+            known to fit, in metres.
+        parts: what the robot knows beside its map, such as `jaxplore.parts.KeepOutBoxes`.
 
     Raises:
-        ValueError: no sensor, a part of another class, a number outside its range.
+        ValueError: no sensor, a part of another class, a number outside its range, a window beside
+            a goal.
     """
 
     sensors: tuple[VolumeSensor, ...]
@@ -83,6 +93,10 @@ class VolumePerception(eqx.Module):
     patience: Scalar
     memory: Scalar
     turning: Scalar
+    goal: Float[Array, "3"] | None
+    goal_heading: Scalar | None
+    unknown_factor: Scalar
+    parts: tuple[Part, ...]
     table: VoxelTable
     in_view: Float[Array, "A A"]
     towards: Float[Array, "A A"]
@@ -111,6 +125,10 @@ class VolumePerception(eqx.Module):
         num_elevations: int = 5,
         max_clearance: float = 1.2,
         window: Vector | None = None,
+        goal: Vector | None = None,
+        goal_heading: ArrayLike | None = None,
+        unknown_factor: ArrayLike = 0.5,
+        parts: Sequence[Part] = (),
     ) -> None:
         _kinds.instance("sensors", sensors, list, tuple)
         for each in sensors:
@@ -146,6 +164,19 @@ class VolumePerception(eqx.Module):
             if not min(x, y, z) > 0.0:
                 raise ValueError(f"window is {[x, y, z]}; accepted: three lengths above 0")
             self.extents = (x, y, z)
+        self.goal = None if goal is None else _checks.vector("goal", goal, 3)
+        self.goal_heading = (
+            None if goal_heading is None else _checks.scalar("goal_heading", goal_heading)
+        )
+        self.unknown_factor = _checks.scalar("unknown_factor", unknown_factor, at_least=0.0)
+        self.parts = as_parts(parts, (), None, dimensions=3)
+        if goal is None and goal_heading is not None:
+            raise ValueError("goal_heading is given without a goal; accepted: with one")
+        if goal is not None and self.extents is not None:
+            raise ValueError(
+                f"window is {list(self.extents)} beside a goal, whose way the whole map has; "
+                "accepted: one of them"
+            )
 
     @property
     def needs_turning(self) -> bool:
@@ -204,7 +235,15 @@ class VolumePerception(eqx.Module):
         beyond: RollingMap | None,
     ) -> VolumeBelief:
         """Return a belief with what follows from its grid, before the next fields."""
-        clearance = clearance_of_volume(grid, self.reach)
+        states = {part.name: part.init(grid) for part in self.parts}
+        barred = self._barred_by(states)
+        clearance = clearance_of_volume(grid, self.reach, _close(~grid.is_free, barred))
+        goal = None
+        if self.goal is not None:
+            solid = _close(grid.is_occupied, barred)
+            walls = clearance_of_volume(grid, self.reach, solid).values
+            room, way = coarse_room(walls, self.pool), jnp.zeros(2)
+            goal = GoalKnowledge(self.goal, self.goal_heading, walls, room, way)
         guidance = blank_field(grid, self.pool)
         view = ViewField(jnp.zeros_like(sectors), guidance.origin, guidance.spacing)
         return VolumeBelief(
@@ -214,13 +253,29 @@ class VolumePerception(eqx.Module):
             view,
             view,
             guidance,
-            coarse_states(grid, self.pool),
+            coarse_states(_see_through(grid, barred), self.pool),
             coarse_room(clearance.values, self.pool),
             changed,
             sectors,
             dwell,
             beyond,
+            goal,
+            states,
         )
+
+    def barred_voxels(self, grid: VoxelGrid) -> Bool[Array, "D H W"] | None:
+        """Return the voxels that the robot must not enter, or None if it may enter all.
+
+        Args:
+            grid: a map.
+        """
+        return self._barred_by({part.name: part.init(grid) for part in self.parts})
+
+    def _barred_by(self, states: Mapping[str, Any]) -> Bool[Array, "D H W"] | None:
+        """Return the voxels that the parts bar, given the states of these; None without any."""
+        given = [part.closed_cells(states[part.name]) for part in self.parts]
+        barred = [each for each in given if each is not None]
+        return functools.reduce(jnp.logical_or, barred) if barred else None
 
     def update(
         self,
@@ -234,8 +289,11 @@ class VolumePerception(eqx.Module):
         grid = belief.grid
         for sensor, scan in zip(self.sensors, scans, strict=True):
             grid = sensor.update(grid, position, rotation, scan, self.sensor_model, window)
-        clearance = update_clearance(grid, belief.clearance.values, window, self.reach)
+        barred = self._barred_by(belief.parts)
+        closed = None if barred is None else ~grid.is_free | barred
+        clearance = update_clearance(grid, belief.clearance.values, window, self.reach, closed)
         seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
+        seen = _see_through(seen, None if barred is None else window.read(barred))
         states, rooms = (
             coarse_states(seen, self.pool),
             coarse_room(window.read(clearance), self.pool),
@@ -245,6 +303,13 @@ class VolumePerception(eqx.Module):
         columns = Window(among.corner[1:], among.shape[1:], among.map_shape[1:])
         before = columns.read(belief.changed)
         changed = columns.write(belief.changed, before | is_new.any(axis=0))
+        goal = belief.goal
+        if goal is not None:
+            solid = _close(grid.is_occupied, barred)
+            walls = update_clearance(grid, goal.walls, window, self.reach, solid)
+            wide = coarse_room(window.read(walls), self.pool)
+            wall_room, _, _ = update_coarse(goal.room, wide, window, self.pool)
+            goal = dataclasses.replace(goal, walls=walls, room=wall_room)
         return dataclasses.replace(
             belief,
             position=position,
@@ -253,6 +318,7 @@ class VolumePerception(eqx.Module):
             coarse=coarse,
             room=room,
             changed=changed,
+            goal=goal,
         )
 
     def scan_window(
@@ -295,6 +361,8 @@ class VolumePerception(eqx.Module):
         faces are places s as well, with the cost of the straight way to what was left outside: see
         `RollingMap.toward_the_rest`.
 
+        With a goal, the cost-to-go is that of `goal_roads` to the goal instead.
+
         The attention at a heading h is the information in view, and of each sector, whether it is
         in view or not, `turning (1 + cos(h - h_a)) / 2`. Without it, a robot that looks away from
         the only information would not know which way to turn.
@@ -331,7 +399,9 @@ class VolumePerception(eqx.Module):
                 self.reach * belief.grid.resolution,
             )
             source = jnp.minimum(source, at_faces)
-        guidance = roads.field(source)
+        guidance, goal = roads.field(source), belief.goal
+        if goal is not None:
+            guidance, goal = self._guide_to(goal, roads, dwell, position, belief.grid.resolution)
         views, attention = (
             jnp.einsum("ha,adrc->hdrc", shares, sectors)
             for shares in (self.in_view, self.in_view + self.turning * self.towards)
@@ -355,7 +425,24 @@ class VolumePerception(eqx.Module):
                 dwell,
             ),
         )
-        return known
+        return dataclasses.replace(known, goal=goal)
+
+    def _guide_to(
+        self,
+        goal: GoalKnowledge,
+        roads: VolumeRoads,
+        dwell: Float[Array, "A D H W"],
+        position: Float[Array, "3"],
+        side: float,
+    ) -> tuple[VolumeField, GoalKnowledge]:
+        """Return the cost-to-go to the goal, and the direction in which it leads."""
+        near = dwell.max(axis=0) / self.patience
+        room = points_of(goal.room, roads.slowness.shape)
+        needed = self.required, self._least(side)
+        ways = goal_roads(roads, room, *needed, near, self.unknown_factor)
+        costs = ways.lengths(goal_sources(ways, goal.position))
+        way = way_ahead(costs, ways, position)
+        return ways.extend(costs), dataclasses.replace(goal, way=way)
 
     def _roll_window(self, belief: VolumeBelief, position: Float[Array, "3"]) -> VolumeBelief:
         """Return the belief with its window around the robot, if that is near a face of it."""
@@ -379,7 +466,7 @@ class VolumePerception(eqx.Module):
             )
             window = there.window(grid, grid.shape)
             made = self._make_belief(position, window, changed | ~is_old, sectors, dwell, there)
-            return made.split()[0]
+            return dataclasses.replace(made, obstacles=belief.obstacles).split()[0]
 
         known: VolumeBelief = eqx.combine(jax.lax.cond(is_due, move, lambda: rest), stored)
         return known
@@ -388,14 +475,35 @@ class VolumePerception(eqx.Module):
         """Return the lattice of the places at which the robot fits; tight ones cost double."""
         shape, origin, spacing = volume_lattice(belief.grid, self.pool)
         # Half-way between the nodes, too, the robot must fit.
-        half = belief.room[1:, 1:, 1:][: 2 * shape[0] - 1, : 2 * shape[1] - 1, : 2 * shape[2] - 1]
+        half = points_of(belief.room, shape)
         tightness = jnp.clip(3.0 - half[::2, ::2, ::2] / self.required, 0.0, 2.0) / 2.0
-        # The tolerance counts a clearance of just that as a path that jumps.
-        least = jnp.maximum(self.required, (NARROWEST + 1e-3) * belief.grid.resolution)
+        least = self._least(belief.grid.resolution)
         return VolumeRoads(half >= least, 1.0 + tightness, origin, spacing)
+
+    def _least(self, side: float) -> Scalar:
+        """Return the clearance of a place where a path may lead, with voxels of a side [m]."""
+        # The tolerance counts a clearance of just that as a path that jumps.
+        return jnp.maximum(self.required, (NARROWEST + 1e-3) * side)
 
     def blank_field(self, grid: VoxelGrid) -> VolumeField:
         """Return a cost-to-go that is 0 everywhere, on the lattice of a volume's viewpoints."""
         shape = self.window_shape(grid.shape, grid.resolution)
         window = eqx.tree_at(lambda each: each.log_odds, grid, jnp.zeros(shape))
         return blank_field(window, self.pool)
+
+
+def _close(
+    closed: Bool[Array, "D H W"], barred: Bool[Array, "D H W"] | None
+) -> Bool[Array, "D H W"]:
+    """Return the closed voxels with those that the robot must not enter."""
+    return closed if barred is None else closed | barred
+
+
+def _see_through(grid: VoxelGrid, barred: Bool[Array, "D H W"] | None) -> VoxelGrid:
+    """Return a grid in which what the robot must not enter is free, unless it is known to be
+    occupied: nothing is to be learned there."""
+    if barred is None:
+        return grid
+    log_odds = jnp.where(barred & ~grid.is_occupied, -CERTAIN, grid.log_odds)
+    clear: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, grid, log_odds)
+    return clear

@@ -1,14 +1,38 @@
 """What a robot knows of a volume."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxplore._types import Scalar
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.rolling_map import RollingMap
 from jaxplore.belief.view_field import ViewField
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.window import Window
+
+
+class GoalKnowledge(eqx.Module):
+    """What a robot knows of the way to its goal.
+
+    Args:
+        position: position (x, y, z) of the goal [m].
+        heading: heading at the goal [rad]; any when None.
+        walls: distance to the nearest voxel that is known to be occupied, up to the reach of the
+            perception [m].
+        room: least of it in each coarser voxel [m].
+        way: level direction (x, y) in which the way to the goal leads from the robot, of length 1
+            or, where it leads up or down, shorter.
+    """
+
+    position: Float[Array, "3"]
+    heading: Scalar | None
+    walls: Float[Array, "D H W"]
+    room: Float[Array, "D2 H2 W2"]
+    way: Float[Array, "2"]
 
 
 class VolumeBelief(eqx.Module):
@@ -22,7 +46,7 @@ class VolumeBelief(eqx.Module):
         information: information of a scan by position and heading.
         attention: the same, with a share of what lies out of view, so that it rises as the robot
             turns to it.
-        guidance: cost-to-go to the remaining information [m].
+        guidance: cost-to-go to the remaining information, or to the goal if there is one [m].
         coarse: states of the coarser voxels in which information is computed.
         room: least clearance in each of them [m].
         changed: columns of coarser voxels with one whose state has changed since the information
@@ -32,6 +56,9 @@ class VolumeBelief(eqx.Module):
         dwell: (A, D, H, W) time spent near each node with each sector in view, recent time counting
             more [s].
         beyond: what is known beyond the window; None where the belief is of the whole volume.
+        goal: what is known of the way to the goal; None without a goal.
+        parts: state of each part of the perception, by its name.
+        obstacles: moving obstacles that the robot knows; None where nothing moves.
     """
 
     position: Float[Array, "3"]
@@ -46,6 +73,9 @@ class VolumeBelief(eqx.Module):
     sectors: Float[Array, "A D H W"]
     dwell: Float[Array, "A D H W"]
     beyond: RollingMap | None = None
+    goal: GoalKnowledge | None = None
+    parts: dict[str, Any] = eqx.field(default_factory=dict)
+    obstacles: Obstacles | None = None
 
     @property
     def whole(self) -> VoxelGrid:

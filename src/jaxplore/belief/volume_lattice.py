@@ -24,6 +24,12 @@ def volume_lattice(
     return (depth, height, width), grid.origin + 1.5 * side, NODE * side
 
 
+def points_of(coarse: Float[Array, "D2 H2 W2"], shape: tuple[int, ...]) -> Float[Array, "D3 H3 W3"]:
+    """Return the coarser voxels at the points of half the spacing of a lattice of so many nodes."""
+    depth, height, width = (2 * size - 1 for size in shape)
+    return coarse[1:, 1:, 1:][:depth, :height, :width]
+
+
 def blank_field(grid: VoxelGrid, pool: int) -> VolumeField:
     """Return a cost-to-go that is 0 at every node of `volume_lattice`."""
     shape, origin, spacing = volume_lattice(grid, pool)

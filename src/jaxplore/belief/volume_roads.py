@@ -65,7 +65,11 @@ class VolumeRoads(eqx.Module):
 
     def field(self, source: Float[Array, "D H W"]) -> VolumeField:
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
-        values = _extend(self.lengths(source), self.spacing)
+        return self.extend(self.lengths(source))
+
+    def extend(self, lengths: Float[Array, "D H W"]) -> VolumeField:
+        """Return the cost-to-go of `lengths` [m] as a field, extended into closed nodes."""
+        values = _extend(lengths, self.spacing)
         return VolumeField(values, self.origin, self.spacing, jnp.asarray(FAR))
 
     def distances(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:

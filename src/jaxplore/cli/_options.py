@@ -48,8 +48,8 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
 """Options of single settings: option, dotted setting, type, help."""
 
 
-class StartOption(click.Option):
-    """An option that takes three numbers, or four."""
+class PlaceOption(click.Option):
+    """An option that takes `nargs` numbers, or one more, the height in a volume."""
 
     def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
         """Let the option take one more argument, if it is a number."""
@@ -65,7 +65,7 @@ class StartOption(click.Option):
             option.process = process
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
-        """Convert four texts as three of them are."""
+        """Convert one text more as the others are."""
         if isinstance(value, tuple) and len(value) == self.nargs + 1:
             return tuple(self.type(each, self, ctx) for each in value)
         return super().type_cast_value(ctx, value)
@@ -87,7 +87,7 @@ def with_options(*without: str) -> Callable[[Any], Any]:
         ),
         click.option(
             "--start",
-            cls=StartOption,
+            cls=PlaceOption,
             nargs=3,
             type=float,
             metavar="X Y [Z] YAW",
@@ -96,11 +96,12 @@ def with_options(*without: str) -> Callable[[Any], Any]:
         ),
         click.option(
             "--goal",
+            cls=PlaceOption,
             nargs=2,
             type=float,
-            metavar="X Y",
-            help="Goal position [m], reached within the setting goal_radius; zones define their "
-            "own.",
+            metavar="X Y [Z]",
+            help="Goal position [m], with the height Z in a volume, reached within the setting "
+            "goal_radius; zones define their own.",
         ),
     ]
     for flag, setting, kind, text in _OPTIONS:

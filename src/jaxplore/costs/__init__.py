@@ -42,5 +42,6 @@ from jaxplore.costs.tracking import StateCost as StateCost
 from jaxplore.costs.tracking import WaypointCost as WaypointCost
 from jaxplore.costs.volume import AttitudeCost as AttitudeCost
 from jaxplore.costs.volume import BlindFlightCost as BlindFlightCost
+from jaxplore.costs.volume import VolumeGoalCost as VolumeGoalCost
 from jaxplore.costs.volume import VolumeGuidanceCost as VolumeGuidanceCost
 from jaxplore.costs.volume import VolumeInformationCost as VolumeInformationCost

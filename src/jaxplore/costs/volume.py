@@ -4,10 +4,13 @@ import jax.numpy as jnp
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar
-from jaxplore.belief.volume_belief import VolumeBelief
+from jaxplore.belief.belief import part
+from jaxplore.belief.volume_belief import GoalKnowledge, VolumeBelief
+from jaxplore.costs._arrival import with_overrun
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import length
 
 
 class VolumeGuidanceCost(Cost):
@@ -37,6 +40,43 @@ class VolumeGuidanceCost(Cost):
         """Compute the bounded cost-to-go at the position of the robot."""
         here, cost = belief.guidance(belief.position), belief.guidance(state.place(3))
         return jnp.minimum(jnp.maximum(cost, here - self.reach), here + self.reach)
+
+
+class VolumeGoalCost(Cost):
+    """Cost of the way to the goal, and of not facing it [m]:
+
+        U(x) + 2 e(U(x)) + turning (|w| - h . w)
+
+    with U the cost-to-go, bounded as that of `VolumeGuidanceCost`, e the distance by which the
+    robot would overrun the goal, h the heading, and w the level direction of the way
+    (`GoalKnowledge`). The camera then sees what is unknown on the way.
+
+    Args:
+        turning: cost of facing sideways [m].
+        reach: largest change of the cost-to-go that counts [m].
+
+    Raises:
+        ValueError: a negative turning, a reach that is not positive. When traced, a belief without
+            a goal.
+    """
+
+    turning: Scalar
+    guidance: VolumeGuidanceCost
+
+    def __init__(self, turning: ArrayLike = 0.5, reach: ArrayLike = 20.0) -> None:
+        self.turning = _checks.scalar("turning", turning, at_least=0.0)
+        self.guidance = VolumeGuidanceCost(reach)
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
+    ) -> Scalar:
+        """Compute the cost of the way."""
+        goal: GoalKnowledge = part(belief, "goal")
+        sin, cos = sin_cos(state.heading)
+        along, across = jnp.unstack(goal.way)
+        missing = length(along, across) - (cos * along + sin * across)
+        cost = self.guidance.stage(state, control, t, belief)
+        return with_overrun(state, cost) + self.turning * missing
 
 
 class VolumeInformationCost(Cost):

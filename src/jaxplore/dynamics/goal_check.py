@@ -61,7 +61,7 @@ class GoalCheck(NamedTuple):
     `speed / 0.5 m`, which is 0.1 rad/s by default.
 
     Args:
-        position: position (x, y) of the goal [m].
+        position: position (x, y) of the goal, in a volume (x, y, z) with z up [m].
         radius: distance within which it is reached [m].
         heading: heading at the goal [rad]; any when None.
         tolerance: greatest error of the heading [rad].
@@ -83,10 +83,11 @@ class GoalCheck(NamedTuple):
         heading: ArrayLike | None = None,
         tolerance: ArrayLike = GOAL_TOLERANCE,
         speed: ArrayLike = GOAL_SPEED,
+        dimensions: int = 2,
     ) -> "GoalCheck":
         """Make a check of finite numbers; radius, tolerance and speed are positive."""
         return cls(
-            _checks.vector("goal", position, 2),
+            _checks.vector("goal", position, dimensions),
             _checks.scalar("goal_radius", radius, above=0.0),
             None if heading is None else _checks.scalar("goal_heading", heading),
             _checks.scalar("goal_tolerance", tolerance, above=0.0),
@@ -94,17 +95,18 @@ class GoalCheck(NamedTuple):
         )
 
     def is_at(self, position: Any) -> Any:
-        """Check whether a position (x, y) is within the radius [m]."""
-        offset = position[:2] - self.position
+        """Check whether a position, with the goal's number of components, is within the radius."""
+        offset = position[: len(self.position)] - self.position
         return (offset * offset).sum() < self.radius * self.radius
 
     def is_reached(self, pose: Any, motion: Motion) -> Any:
         """Check whether a robot has reached the goal.
 
-        `pose` is (x, y, yaw) [m, m, rad], or the position alone where any heading is right.
+        `pose` is the position [m] and the yaw [rad], or the position alone where any heading is
+        right.
         """
         there = self.is_at(pose) & motion.is_within(self.speed)
         if self.heading is None:
             return there
         xp = np if isinstance(pose, np.ndarray) else jnp
-        return there & (xp.cos(pose[2] - self.heading) >= xp.cos(self.tolerance))
+        return there & (xp.cos(pose[len(self.position)] - self.heading) >= xp.cos(self.tolerance))

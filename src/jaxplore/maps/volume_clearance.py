@@ -11,20 +11,27 @@ from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.window import Window, near_faces
 
 
-def clearance_of_volume(grid: VoxelGrid, reach: int) -> VolumeField:
-    """Return the distance of each voxel's centre from the nearest voxel not known to be free [m].
+def clearance_of_volume(
+    grid: VoxelGrid, reach: int, closed: Bool[Array, "D H W"] | None = None
+) -> VolumeField:
+    """Return the distance of each voxel's centre from the nearest closed voxel [m].
 
-    `reach` is the greatest distance of interest [voxels]; static.
+    `closed` are all voxels that are not known to be free when None. `reach` is the greatest
+    distance of interest [voxels]; static.
     """
     side, shape = grid.resolution, grid.shape
     nothing = jnp.zeros(shape)
     everything = Window.at(jnp.zeros(3, jnp.int32), shape, shape)
-    metres = update_clearance(grid, nothing, everything, reach)
+    metres = update_clearance(grid, nothing, everything, reach, closed)
     return VolumeField(metres, grid.origin + 0.5 * side, side, jnp.zeros(()))
 
 
 def update_clearance(
-    grid: VoxelGrid, before: Float[Array, "D H W"], window: Window, reach: int
+    grid: VoxelGrid,
+    before: Float[Array, "D H W"],
+    window: Window,
+    reach: int,
+    closed: Bool[Array, "D H W"] | None = None,
 ) -> Float[Array, "D H W"]:
     """Return the distances of `clearance_of_volume` [m] after a change in a window.
 
@@ -32,8 +39,9 @@ def update_clearance(
     changed.
     """
     seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
+    near = ~seen.is_free if closed is None else window.read(closed)
     # Beyond the map all is closed.
-    squared = squared_distance(_add_walls(~seen.is_free, window), reach)[1:-1, 1:-1, 1:-1]
+    squared = squared_distance(_add_walls(near, window), reach)[1:-1, 1:-1, 1:-1]
     # From the centre of the nearest closed voxel to its face is half a voxel.
     voxels = jnp.maximum(jnp.sqrt(squared.astype(jnp.float32)) - 0.5, 0.0)
     # Near the rim of the window, what lies outside could be nearer. Nothing changes there.

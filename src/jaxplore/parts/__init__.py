@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from jaxplore.parts.anomalies.robot import Anomalies as Anomalies
 from jaxplore.parts.anomalies.robot import AnomalyTest as AnomalyTest
 from jaxplore.parts.battery.robot import Battery as Battery
+from jaxplore.parts.keep_out.boxes import KeepOutBoxes as KeepOutBoxes
 from jaxplore.parts.keep_out.robot import KeepOut as KeepOut
 from jaxplore.parts.recognition.robot import Look as Look
 from jaxplore.parts.recognition.robot import ObjectClasses as ObjectClasses

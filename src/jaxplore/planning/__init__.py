@@ -72,6 +72,7 @@ from jaxplore.planning.strategy.targets import Targets as Targets
 from jaxplore.planning.strategy.targets import TargetScores as TargetScores
 from jaxplore.planning.strategy.twist_follower import TwistFollower as TwistFollower
 from jaxplore.planning.strategy.uncertainty_aware import UncertaintyAware as UncertaintyAware
+from jaxplore.planning.strategy.volume_approach import GoalApproach as GoalApproach
 from jaxplore.planning.strategy.volume_informative import (
     VolumeInformativeMPPI as VolumeInformativeMPPI,
 )

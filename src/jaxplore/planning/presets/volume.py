@@ -17,10 +17,12 @@ from jaxplore.costs.base import Cost
 from jaxplore.costs.bounds import SpeedLimitCost
 from jaxplore.costs.effort import QuadraticControlCost
 from jaxplore.costs.exploration import PotentialCost, StrategyReferenceCost
+from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.volume import (
     AttitudeCost,
     BlindFlightCost,
+    VolumeGoalCost,
     VolumeGuidanceCost,
     VolumeInformationCost,
 )
@@ -36,6 +38,8 @@ from jaxplore.planning.strategy.volume_targets import VolumeTargetExplorer
 
 ARCHITECTURES = ("two-layer", "parallel")
 """Architectures of informative MPPI in a volume."""
+RAMP = 0.1
+"""Share of the cost of being near obstacles, but for that of contact, on the way to a goal."""
 MAX_SPEED = 2.0
 """Greatest speed without a cost where none is given [m/s]."""
 
@@ -58,11 +62,14 @@ def volume_explorer(
     attitude_weight: ArrayLike = 2.0,
     speed_weight: ArrayLike = 10.0,
     control_weight: ArrayLike = 0.01,
+    has_goal: bool = False,
+    has_moving_obstacles: bool = False,
 ) -> MPPI:
-    """Build MPPI with which a quadrotor explores a volume.
+    """Build MPPI with which a quadrotor explores a volume, or flies to a goal in it.
 
     The quadrotor descends the cost-to-go to the remaining information, looks where there is much of
-    it and where it flies, and keeps away from all that is not known to be free.
+    it and where it flies, and keeps away from all that is not known to be free. With a goal, it
+    descends the cost-to-go to that, looks where the way leads, and comes to rest there.
 
     Args:
         robot: model of the robot.
@@ -74,30 +81,44 @@ def volume_explorer(
         max_speed: greatest speed without a cost [m/s].
         clearance: distance kept from what is not known to be free [m].
         obstacle_weight: weight of `ObstacleCost`.
-        guidance_weight: weight of `VolumeGuidanceCost`.
+        guidance_weight: weight of `VolumeGuidanceCost`, with a goal of `VolumeGoalCost`.
         information_weight: weight of `VolumeInformationCost`.
         blind_weight: weight of `BlindFlightCost`.
         attitude_weight: weight of `AttitudeCost`.
         speed_weight: weight of `SpeedLimitCost`.
         control_weight: weight of `QuadraticControlCost`.
+        has_goal: whether the perception has a goal; information then has no cost.
+        has_moving_obstacles: whether the belief holds moving obstacles, to which `obstacle_weight`
+            times a `MovingObstacleCost` applies.
 
     Raises:
         ValueError: a robot that is no quadrotor, a value that a part does not accept.
     """
-
+    _kinds.flag("has_goal", has_goal)
     keep = _checks.scalar("clearance", clearance, above=0.0)
     fastest = _checks.scalar("max_speed", max_speed, above=0.0)
 
     # No reaction time: it counts the speed ahead, and a quadrotor flies to all sides.
-    near = ObstacleCost(keep, collision=5.0, margin=0.05, reaction_time=0.0)
+    collision = 5.0 * (1.0 / RAMP if has_goal else 1.0)
+    near: Cost = ObstacleCost(keep, collision=collision, margin=0.05, reaction_time=0.0)
 
     def scale_cost(name: str, weight: ArrayLike, cost: Cost) -> Cost:
         return _checks.scalar(name, weight) * cost
 
+    looking = scale_cost("information_weight", information_weight, VolumeInformationCost())
+    way = VolumeGoalCost() if has_goal else VolumeGuidanceCost()
+    if has_goal:
+        near = RAMP * near
+    cost = scale_cost("obstacle_weight", obstacle_weight, near) + scale_cost(
+        "guidance_weight", guidance_weight, way
+    )
+    if not has_goal:
+        cost = cost + looking
+    if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
+        moving = MovingObstacleCost(clearance=1.2, collision=5.0, margin=0.15, reaction_time=0.2)
+        cost = cost + scale_cost("obstacle_weight", obstacle_weight, moving)
     cost = (
-        scale_cost("obstacle_weight", obstacle_weight, near)
-        + scale_cost("guidance_weight", guidance_weight, VolumeGuidanceCost())
-        + scale_cost("information_weight", information_weight, VolumeInformationCost())
+        cost
         + scale_cost("blind_weight", blind_weight, BlindFlightCost())
         + scale_cost("attitude_weight", attitude_weight, AttitudeCost())
         + scale_cost("speed_weight", speed_weight, SpeedLimitCost(fastest))

@@ -35,6 +35,7 @@ class VolumeRecord(NamedTuple):
         effective_sample_size: effective sample size of the controller's rollouts.
         is_finite: whether any rollout had a finite cost.
         targets_seen: number of targets that were seen so far; None without targets.
+        is_untraversable: whether part of the robot is in a keep-out box; None without any.
     """
 
     state: StateVector
@@ -45,6 +46,7 @@ class VolumeRecord(NamedTuple):
     effective_sample_size: Scalar
     is_finite: Flag
     targets_seen: Count | None = None
+    is_untraversable: Flag | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -59,6 +61,7 @@ class VolumeFrame(Frame):
         voxels: (ceil(D H W / 8),) bits of the voxels that the robot knows to be occupied.
         plan: (T + 1, 3) positions of the nominal trajectory, with z up [m].
         is_found: (M,) which targets were seen so far.
+        movers: (P, 3) true moving obstacles, (x, y, radius) [m].
     """
 
     state: np.ndarray
@@ -67,8 +70,9 @@ class VolumeFrame(Frame):
     voxels: np.ndarray
     plan: np.ndarray
     is_found: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
+    movers: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
 
-    places = ("plan",)
+    places = ("plan", "movers")
 
     def find_occupied(self, shape: tuple[int, ...]) -> np.ndarray:
         """Return the voxels (D, H, W) that the robot knows to be occupied."""
@@ -97,6 +101,9 @@ class VolumeData(RunData):
         robot_radius: radius of the robot [m].
         given_up_step: number of steps until it was given up; None if it was not.
         targets: (M, 3) positions (x, y, z) of the targets [m].
+        goal: (3,) position (x, y, z) of the goal [m]; None without one.
+        is_at_goal: whether the robot was at rest at its goal at the end.
+        boxes: (B, 6) keep-out boxes (x_min, y_min, z_min, x_max, y_max, z_max) [m].
     """
 
     records: VolumeRecord
@@ -113,6 +120,9 @@ class VolumeData(RunData):
     robot_radius: float
     given_up_step: int | None = None
     targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
+    goal: np.ndarray | None = None
+    is_at_goal: bool = False
+    boxes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 6)))
 
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
@@ -121,6 +131,8 @@ class VolumeData(RunData):
             "start": move_states(self.start, offset, self.state_names),
             "origin": move_points(self.origin, offset),
             "targets": move_points(self.targets, offset),
+            "goal": None if self.goal is None else move_points(self.goal, offset),
+            "boxes": move_points(move_points(self.boxes, offset), offset, (3, 4)),
         }
 
     @property
@@ -164,6 +176,8 @@ class VolumeMetrics(Metrics):
         num_targets: number of targets.
         targets_seen: number of targets that were seen.
         last_target_at: time at which the last target was seen [s]; None if some were not.
+        goal_distance: distance from the goal at the end [m]; None without a goal.
+        untraversable_steps: number of steps that ended with part of the robot in a keep-out box.
         curve: time, coverage and path, and with targets how many were found, for plots.
     """
 
@@ -179,6 +193,8 @@ class VolumeMetrics(Metrics):
     num_targets: int
     targets_seen: int
     last_target_at: float | None
+    goal_distance: float | None
+    untraversable_steps: int
     curve: dict[str, list[float | None]]
     columns = (
         Column.num_finished(),
@@ -186,6 +202,11 @@ class VolumeMetrics(Metrics):
         Column.quartiles("to_95", "95 % [s]", number=lambda each: each.time_to["95"]),
         Column.quartiles(
             "last_target_at", "last target [s]", applies=lambda spread: spread[0] < math.inf
+        ),
+        Column.quartiles(
+            "goal_distance",
+            "goal [m]",
+            applies=lambda spread: spread[0] < math.inf,
         ),
         Column.quartiles("path_length", "path [m]"),
         Column.total("collisions", "collisions"),
@@ -206,8 +227,14 @@ class VolumeMetrics(Metrics):
             self.duration_row(),
             ("coverage", f"{percent(self.coverage)} of {self.volume:.1f} m³, {levels}"),
             *target_rows(self.num_targets, self.targets_seen, self.last_target_at),
+            *numbers("goal", "{:.2f} m away", self.goal_distance),
             ("path", f"{self.path_length:.1f} m, {self.mean_speed:.2f} m/s in the mean"),
             ("collisions", str(self.collisions)),
+            *(
+                [("untraversable", f"{self.untraversable_steps} steps")]
+                if self.untraversable_steps
+                else []
+            ),
             *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
             *numbers("sample size", "{:.1f} effective", self.mean_effective_sample_size),
             *self.last_rows(),
@@ -221,11 +248,14 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
     steps = np.linalg.norm(np.diff(data.positions, axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])
     seen = data.records.targets_seen
-    if len(data.targets) and seen is not None:
+    curve_of_targets: dict[str, np.ndarray] = {}
+    if data.goal is not None:
+        done = data.num_steps if data.is_at_goal else None
+    elif len(data.targets) and seen is not None:
         done = find_first(np.asarray(seen, float), float(len(data.targets)))
         curve_of_targets = {"targets": at_instants(seen, 0.0)}
     else:
-        done, curve_of_targets = find_first(coverage, data.target_coverage), {}
+        done = find_first(coverage, data.target_coverage)
     # A run ends with the step in which its target is reached, or takes none.
     finished_at = None if done is None else min(done + 1, data.num_steps) * period
     sizes = np.asarray(records.effective_sample_size, np.float64)
@@ -244,5 +274,11 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         num_targets=len(data.targets),
         targets_seen=0 if seen is None or not len(seen) else int(seen[-1]),
         last_target_at=last_target_at(data),
+        goal_distance=None
+        if data.goal is None
+        else float(np.linalg.norm(data.positions[-1] - data.goal)),
+        untraversable_steps=0
+        if records.is_untraversable is None
+        else int(np.asarray(records.is_untraversable, bool).sum()),
         curve=thin_series(curve, period),
     )

@@ -22,7 +22,13 @@ from jaxplore.report.volume.data import (
     VolumeMetrics,
     compute_volume_metrics,
 )
-from jaxplore.report.volume.space import MOST_POINTS, SpacePicture, height_colours, surface
+from jaxplore.report.volume.space import (
+    MOST_POINTS,
+    SpacePicture,
+    box_edges,
+    height_colours,
+    surface,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,6 +41,10 @@ BESIDE = 0.7
 """Distance from a slice through the robot beyond which its trail is pale [m]."""
 TRAIL, PALE, PLAN = "#1f77b4", "#b9d3e6", "#d62728"
 """Colours of the trail, of its parts that are not near the slice, and of the plan."""
+GOAL = "#e9a23b"
+"""Colour of the goal."""
+BOX = "#c0392b"
+"""Colour of the edges of keep-out boxes."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
@@ -81,6 +91,25 @@ class VolumeRecording(VolumeData, Recording):
             for x, y in ((place[0], level.height - place[1]), (place[0], size[1] - place[2])):
                 box = (x - radius, y - radius, x + radius, y + radius)
                 draw.ellipse(box, None if is_found else colours.TARGET, colours.TARGET, width)
+        for mover in frame.movers:
+            x, y = ((mover[:2] - self.origin[:2]) / self.resolution * pixels).tolist()
+            across = float(mover[2]) / self.resolution * pixels
+            edges = (x - across, level.height - y - across, x + across, level.height - y + across)
+            draw.ellipse(edges, colours.MOVER, colours.MOVER_EDGE, width)
+        for box in self.boxes:
+            (x, y, z), (right, up, top) = (
+                ((box[part] - self.origin) / self.resolution * pixels).tolist()
+                for part in (slice(3), slice(3, 6))
+            )
+            here = points[-1]
+            if z <= here[2] <= top:
+                draw.rectangle((x, level.height - up, right, level.height - y), None, BOX, width)
+            if y <= here[1] <= up:
+                draw.rectangle((x, size[1] - top, right, size[1] - z), None, BOX, width)
+        if self.goal is not None:
+            x, y, z = ((self.goal - self.origin) / self.resolution * pixels).tolist()
+            for here in ((x, level.height - y), (x, size[1] - z)):
+                draw.regular_polygon((*here, 1.5 * radius), 4, 45, GOAL, GOAL)
         for x, y in (trail[-1], side[-1]):
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=PLAN, width=2)
         return picture
@@ -102,7 +131,8 @@ class VolumeRecording(VolumeData, Recording):
 
         Each field of `VolumeRecord` under its name, one row per step; `time` (N + 1,) [s],
         `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `observable` (D, H, W),
-        `origin`, `resolution`, `control_period`, `start`, `state_names` and `targets` (M, 3) [m].
+        `origin`, `resolution`, `control_period`, `start`, `state_names`, `targets` (M, 3) [m], with
+        a goal `goal` (3,), and with keep-out boxes `boxes` (B, 6) [m].
         """
         return {
             **super().arrays(),
@@ -115,6 +145,8 @@ class VolumeRecording(VolumeData, Recording):
             "start": self.start,
             "targets": self.targets,
             "state_names": np.asarray(self.state_names, np.str_),
+            **({} if self.goal is None else {"goal": self.goal}),
+            **({"boxes": self.boxes} if len(self.boxes) else {}),
         }
 
 
@@ -154,7 +186,12 @@ def volume_figure(data: VolumeData) -> "Figure":
             axes.scatter(
                 *places, color=colours.shade(colours.TARGET), marker=marker, s=60, label=label
             )
-    if len(is_found):
+    for box in data.boxes:
+        for edge in box_edges(box):
+            axes.plot(*edge.T, color=BOX, linewidth=1.2)
+    if data.goal is not None:
+        axes.scatter(*data.goal, color=GOAL, marker="*", s=120, label="goal", depthshade=False)
+    if len(is_found) or data.goal is not None:
         axes.legend(loc="upper left", frameon=False)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
@@ -189,7 +226,9 @@ def write_turntable(data: VolumeData, path: Path) -> None:
     picture = SpacePicture(low, high, WIDTH)
 
     def draw(azimuth: float) -> Image.Image:
-        return picture.draw(points, shades, data.resolution, data.positions, azimuth)
+        edges = [edge for box in data.boxes for edge in box_edges(box)]
+        places = data.resolution, data.positions, azimuth
+        return picture.draw(points, shades, *places, goal=data.goal, edges=edges)
 
     angles = [math.radians(60.0) + 2.0 * math.pi * turn / TURNS for turn in range(TURNS)]
     options = FilmOptions(fps=12.5)
@@ -203,6 +242,7 @@ def slices_figure(data: VolumeData) -> "Figure":
     The path is pale where another slice is nearer to it: there it may pass above or below a wall.
     """
     from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
 
     depth, height, width = data.world.shape
     layers = sorted({depth // 4, depth // 2, 3 * depth // 4})
@@ -219,6 +259,13 @@ def slices_figure(data: VolumeData) -> "Figure":
         axes.plot(path[:, 0], path[:, 1], color=TRAIL, linewidth=0.8, alpha=0.25)
         near = np.where((nearest == number - 1)[:, None], path[:, :2], np.nan)
         axes.plot(near[:, 0], near[:, 1], color=TRAIL, linewidth=1.2)
+        for box in data.boxes:
+            if box[2] <= z <= box[5]:
+                corner, size = box[:2], box[3:5] - box[:2]
+                patch = Rectangle(corner, *size, fill=False, hatch="///", edgecolor=BOX, alpha=0.6)
+                axes.add_patch(patch)
+        if data.goal is not None and np.abs(heights - data.goal[2]).argmin() == number - 1:
+            axes.plot(*data.goal[:2], marker="*", color=GOAL, markersize=10)
         axes.set_title(f"z = {z:.2f} m", fontsize=9)
         axes.set_ylabel("y [m]")
     axes.set_xlabel("x [m]")

@@ -1,17 +1,21 @@
 """What was found of a volume, in space: its surface, and a picture of it from any side."""
 
+import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from jaxplore.report.drawing.palette import PLAN, ROBOT
+from jaxplore.report.drawing.palette import PLAN, REFERENCE, ROBOT
 
 MOST_POINTS = 30_000
 """Greatest number of voxels of a figure or a page."""
 _LOW, _MIDDLE, _HIGH = (46, 79, 119), (74, 160, 137), (243, 208, 100)
 """Colours of the lowest, the middle and the highest voxels."""
+BARRED = (192, 57, 43)
+"""Colour of the edges of keep-out boxes."""
 _CEILING = 2
 """Upper layers that are left out: the ceiling, with what noise makes of it, would hide the rest."""
 
@@ -36,6 +40,17 @@ def surface(
     voxels = np.argwhere(shown)
     chosen = np.linspace(0, max(0, len(voxels) - 1), min(len(voxels), most)).astype(int)
     return np.asarray(voxels[chosen])
+
+
+def box_edges(box: np.ndarray) -> list[np.ndarray]:
+    """Return the twelve edges (2, 3) of a box (x_min, y_min, z_min, x_max, y_max, z_max) [m]."""
+    corners = list(itertools.product((0, 1), repeat=3))
+    ends = box.reshape(2, 3)
+    return [
+        np.array([[ends[side, axis] for axis, side in enumerate(each)] for each in pair])
+        for pair in itertools.combinations(corners, 2)
+        if np.abs(np.subtract(*pair)).sum() == 1
+    ]
 
 
 def height_colours(heights: np.ndarray, low: float, high: float) -> Colours:
@@ -84,12 +99,14 @@ class SpacePicture:
         path: np.ndarray,
         azimuth: float,
         plan: np.ndarray | None = None,
+        goal: np.ndarray | None = None,
+        edges: Sequence[np.ndarray] = (),
     ) -> Image.Image:
         """Draw voxels, the farthest first, and over them the path and the plan of the robot.
 
         The points (N, 3) are the middles of the voxels [m], and `side` is that of a voxel [m]. The
-        path (M, 3) and the plan (T, 3) are positions [m]. The viewer looks in the direction
-        `azimuth` [rad].
+        path (M, 3), the plan (T, 3) and the goal (3,) are positions [m]. The viewer looks in the
+        direction `azimuth` [rad]. `edges` (2, 3) are those of keep-out boxes [m].
         """
         width, height = self.size
         image = np.full((height, width, 3), 255, np.uint8)
@@ -125,6 +142,12 @@ class SpacePicture:
             if line is not None and len(line) > 1:
                 flat_line, _ = self.project(line, azimuth)
                 draw.line(list(map(tuple, flat_line.tolist())), fill=colour[:3], width=thick)
+        for edge in edges:
+            flat_line, _ = self.project(edge, azimuth)
+            draw.line(list(map(tuple, flat_line.tolist())), fill=BARRED, width=2)
+        if goal is not None:
+            (x, y), radius = self.project(goal[None], azimuth)[0][0].tolist(), 7
+            draw.regular_polygon((x, y, radius), 4, 45, REFERENCE[:3])
         if len(path):
             (x, y), radius = self.project(path[-1:], azimuth)[0][0].tolist(), 4
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=ROBOT[:3])

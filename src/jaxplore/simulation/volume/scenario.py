@@ -1,5 +1,6 @@
 """The scenario of a quadrotor that explores an unknown volume."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -25,24 +26,38 @@ from jaxplore._types import (
 )
 from jaxplore._xla import on_device
 from jaxplore.belief.gain import Gain
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
+from jaxplore.control.guard import MotionGuard
+from jaxplore.dynamics.goal_check import (
+    GOAL_RADIUS,
+    GOAL_SPEED,
+    GOAL_TOLERANCE,
+    GoalCheck,
+    Motion,
+)
 from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.maps.window import read_first
+from jaxplore.parts.keep_out.boxes import KeepOutBoxes
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.robot.clock import whole_steps
+from jaxplore.robot.robot import tell
 from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import default_give_up_after
+from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.scenario import TOLD_NOISE
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
 from jaxplore.simulation.volume.observable import find_fitting_places, observable
+from jaxplore.simulation.volume.people import Cylinders
 
 TOUCHING = 1.0
 """Reach of the box in which the distance to solid voxels is examined [m]."""
@@ -52,7 +67,8 @@ class VolumeState(NamedTuple):
     """State of the exploration of a volume.
 
     `num_known` observable voxels are known to be free, and `gain` is the last rise of their share.
-    `is_seen` (M,) says which targets have been seen.
+    `is_seen` (M,) says which targets have been seen. `motion` is that of the last step; None
+    without a goal. `moving` are the true moving obstacles of the run; None without any.
     """
 
     robot: StateVector
@@ -60,6 +76,8 @@ class VolumeState(NamedTuple):
     num_known: Count
     gain: Gain
     is_seen: Bool[Array, " M"]
+    motion: Motion | None = None
+    moving: MovingObstacles | None = None
 
 
 class VolumeScenario(Scenario):
@@ -71,7 +89,9 @@ class VolumeScenario(Scenario):
     coverage is the share of them that the robot's map knows to be free. The exploration is finished
     at the target coverage, and given up when the coverage has not risen by 0.1 % for
     `give_up_after`: what is left cannot be seen from where the robot fits. With targets it is
-    finished when a sensor has seen all of them, and not given up.
+    finished when a sensor has seen all of them, and not given up. With a goal the robot flies
+    there, through what it does not know as well, and the run is finished when it has come to rest
+    there (`GoalCheck`); it is not given up.
 
     Args:
         world: the true volume, hidden from the robot.
@@ -87,6 +107,16 @@ class VolumeScenario(Scenario):
             [s]; when absent a minute and the time of a flight along the diagonal of the volume and
             back at 1 m/s.
         targets: (M, 3) positions (x, y, z) of targets to find, with z up [m]; none when absent.
+        goal: goal position (x, y, z) with z up [m]; none when absent.
+        goal_radius: distance within which the goal is reached by a robot at rest [m].
+        goal_heading: heading at the goal [rad]; any when absent.
+        goal_tolerance: greatest error of the heading at the goal [rad].
+        goal_speed: speed up to which the robot is at rest at the goal [m/s].
+        moving_obstacles: true moving obstacles, upright cylinders from the lower face of the volume
+            to 1.8 m above it; none when absent. The robot is told of those in sight, and the map
+            keeps nothing of them. Their start is drawn from the run's key.
+        tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
+            told.
         faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
             is not carried away.
         datum: point of a file's coordinates to which all positions here are relative; frames and
@@ -96,7 +126,9 @@ class VolumeScenario(Scenario):
         ValueError: a part of another class, a start that is off the volume or so close to a solid
             voxel that the robot touches it, a rate that is no whole fraction, a coverage outside
             (0, 1], a window of the perception that is too small, a target that is not in an
-            observable voxel.
+            observable voxel, targets beside a goal, a goal where the robot cannot get from its
+            start, a perception made for another goal, a start, a goal or all targets in keep-out
+            boxes.
     """
 
     frame_type = VolumeFrame
@@ -115,6 +147,9 @@ class VolumeScenario(Scenario):
     observable: Bool[Array, "D H W"]
     num_observable: Scalar
     targets: Float[Array, "M 3"]
+    goal_check: GoalCheck | None
+    moving_obstacles: MovingObstacles | None
+    tracking_noise: Float[Array, "2"]
     faults: Faults | None
     reach: int = eqx.field(static=True)
 
@@ -133,6 +168,13 @@ class VolumeScenario(Scenario):
         target_coverage: ArrayLike = 0.95,
         give_up_after: ArrayLike | None = None,
         targets: Rows | None = None,
+        goal: Vector | None = None,
+        goal_radius: ArrayLike = GOAL_RADIUS,
+        goal_heading: ArrayLike | None = None,
+        goal_tolerance: ArrayLike = GOAL_TOLERANCE,
+        goal_speed: ArrayLike = GOAL_SPEED,
+        moving_obstacles: MovingObstacles | None = None,
+        tracking_noise: Vector = TOLD_NOISE,
         faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
@@ -142,6 +184,9 @@ class VolumeScenario(Scenario):
             raise ValueError(
                 f"walls has shape {faults.walls.shape}; accepted: the world's, {world.shape}"
             )
+        is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
+        self.moving_obstacles = None if is_still else moving_obstacles
+        self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
         self.placed = HostOnly(datum)
         several = isinstance(sensors, Sequence)
         given = tuple(sensors) if isinstance(sensors, Sequence) else (sensors,)
@@ -154,17 +199,28 @@ class VolumeScenario(Scenario):
         radius = float(robot.radius)
         solid = ~np.asarray(world.is_free)
         side = world.resolution
-        places = find_fitting_places(
-            solid, _start_voxel(solid, world, place, radius, datum), radius / side
-        )
+        begin = _start_voxel(solid, world, place, radius, datum)
+        barred = None if perception is None else perception.barred_voxels(world)
+        is_barred = np.zeros(world.shape, bool) if barred is None else np.asarray(barred)
+        if is_barred[tuple(np.floor(begin).astype(int))]:
+            raise ValueError(
+                f"start is {_show(place, datum)}, in a keep-out box; accepted: outside of all"
+            )
+        places = find_fitting_places(solid | is_barred, begin, radius / side)
         views = [(each.max_range / side, *each.elevations) for each in given]
         seen = observable(solid, places, views)
-        self.observable = on_device(seen)
-        self.num_observable = on_device(np.asarray(np.count_nonzero(seen), np.float32))
-        self.targets = _check_targets(targets, world, seen, datum)
+        self.targets = _check_targets(targets, world, seen, is_barred, datum)
+        counted = seen & ~is_barred
+        self.observable = on_device(counted)
+        self.num_observable = on_device(np.asarray(np.count_nonzero(counted), np.float32))
         self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
-        if perception is None:
-            perception = VolumePerception(given, world.resolution, robot.radius)
+        ends = goal_radius, goal_heading, goal_tolerance, goal_speed
+        check = GoalCheck.of((0.0, 0.0, 0.0) if goal is None else goal, *ends, dimensions=3)
+        self.goal_check = None if goal is None else check
+        if goal is not None:
+            has_targets = bool(self.targets.size)
+            _check_goal(check, world, places, is_barred, radius, datum, has_targets=has_targets)
+        perception = _check_perception(perception, given, world, robot, self.goal_check)
         perception.window_shape(world.shape, side)
         self.perception = perception
         rate = _checks.number("control_rate", control_rate, above=0.0)
@@ -178,6 +234,19 @@ class VolumeScenario(Scenario):
             give_up_after = default_give_up_after(world, robot)
         self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
         self.reach = math.ceil(max(TOUCHING, 2.0 * radius) / world.resolution)
+
+    def with_guard(self, guard: MotionGuard | None) -> "VolumeScenario":
+        """Return the scenario without a guard; no other is accepted.
+
+        Args:
+            guard: None.
+
+        Raises:
+            ValueError: a guard, which checks scans of the plane.
+        """
+        if guard is not None:
+            raise ValueError("guard is given; accepted in a volume: None")
+        return self
 
     @property
     def steps_per_measurement(self) -> int:
@@ -198,7 +267,13 @@ class VolumeScenario(Scenario):
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
         is_seen = jnp.zeros(self.targets.shape[0], bool)
-        return VolumeState(self.start, belief, known, gain, is_seen), belief
+        nothing, moving = jnp.zeros(()), self.moving_obstacles
+        motion = None if self.goal_check is None else Motion(nothing, nothing)
+        if moving is not None:
+            obstacles = Obstacles.unseen(moving.radius)
+            belief = dataclasses.replace(belief, obstacles=obstacles)
+            moving = moving if key is None else moving.at_random_phase(key)
+        return VolumeState(self.start, belief, known, gain, is_seen, motion, moving), belief
 
     def perceive(
         self, state: VolumeState, moment: Moment, key: Key
@@ -207,6 +282,7 @@ class VolumeScenario(Scenario):
         at, turn = position_upwards(moment.observed), attitude_upwards(moment.observed)
         elapsed = self.control_period * self.steps_per_field.astype(jnp.float32)
         truly, truly_turned = position_upwards(state.robot), attitude_upwards(state.robot)
+        people = self._people(state, moment.time)
 
         def scan_once(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
             before, known = given
@@ -215,6 +291,15 @@ class VolumeScenario(Scenario):
                 sensor.scan(world, truly, truly_turned, key=each)
                 for sensor, each in zip(self.sensors, keys, strict=True)
             ]
+            if people is not None:
+                scans = [
+                    people.block(scan, sensor, truly, truly_turned)
+                    for scan, sensor in zip(scans, self.sensors, strict=True)
+                ]
+                assert before.obstacles is not None
+                seen = self.sensors, world, truly, truly_turned, self.tracking_noise, key
+                told = tell(before.obstacles, people.tell(*seen))
+                before = dataclasses.replace(before, obstacles=told)
             window = self.perception.scan_window(before.grid, at, turn)
             old, log_odds = read_first(window, before.grid.log_odds)
             before = eqx.tree_at(lambda each: each.grid.log_odds, before, log_odds)
@@ -228,6 +313,9 @@ class VolumeScenario(Scenario):
 
         is_due = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
         belief, stored = state.belief.split()
+        if belief.obstacles is not None:
+            later = belief.obstacles.advance(self.control_period)
+            belief = dataclasses.replace(belief, obstacles=later)
         belief, known = jax.lax.cond(
             is_due, scan_once, lambda same: same, (belief, state.num_known)
         )
@@ -265,19 +353,25 @@ class VolumeScenario(Scenario):
         world = self.world_at(moment.step)
         moved = self.robot.step(state.robot, control, self.control_period)
         is_finite = jnp.all(jnp.isfinite(moved))
-        is_collision = is_finite & (self.clearance(moved, world) < 0.0)
+        # People move during the step as well, so contact is with where they are at its end.
+        people = self._people(state, moment.time + self.control_period)
+        is_collision = is_finite & (self._room(moved, world, people) < 0.0)
         after = jnp.where(is_finite, moved, state.robot)
         after = jnp.where(is_collision, self._stop(state.robot), after)
         record = VolumeRecord(
             state=after,
             control=control,
             coverage=self.coverage(state),
-            clearance=self.clearance(after, world),
+            clearance=self._room(after, world, people),
             is_collision=is_collision,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
             targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None,
+            is_untraversable=self._is_barred(after),
         )
+        if self.goal_check is not None:
+            motion = Motion.between(self.robot, state.robot, after, self.control_period)
+            state = state._replace(motion=motion)
         return state._replace(robot=after), record
 
     def find_targets(
@@ -296,13 +390,15 @@ class VolumeScenario(Scenario):
 
     def is_unfinished(self, state: VolumeState) -> Flag:
         """Check whether the exploration is neither finished nor given up."""
+        if self.goal_check is not None:
+            return ~self._is_there(self.goal_check, state)
         if state.is_seen.size:
             return ~state.is_seen.all()
         return (self.coverage(state) < self.target_coverage) & ~self.is_given_up(state)
 
     def is_given_up(self, state: VolumeState) -> Flag:
         """Check whether the coverage has not risen for `give_up_after`, below its target."""
-        if state.is_seen.size:
+        if state.is_seen.size or self.goal_check is not None:
             return jnp.array(False)
         is_below = self.coverage(state) < self.target_coverage
         return is_below & (state.gain.since >= self.give_up_after)
@@ -310,6 +406,12 @@ class VolumeScenario(Scenario):
     def progress(self, state: VolumeState) -> tuple[float, str]:
         """Return the share of the target coverage, and the coverage in words."""
         coverage = float(self.coverage(state))
+        if self.goal_check is not None:
+            place = np.asarray(position_upwards(state.robot))
+            away = float(np.linalg.norm(place - np.asarray(self.goal_check.position)))
+            first = np.asarray(position_upwards(self.start) - self.goal_check.position)
+            share = 1.0 - away / max(1e-6, float(np.linalg.norm(first)))
+            return min(1.0, max(0.0, share)), f"goal {away:5.1f} m away"
         return min(1.0, coverage / float(self.target_coverage)), f"coverage {coverage:6.1%}"
 
     def coverage(self, state: VolumeState) -> Scalar:
@@ -345,6 +447,17 @@ class VolumeScenario(Scenario):
         squared = jnp.where(solid, jnp.sum(gap * gap, axis=0), float(reach**2))
         return jnp.sqrt(jnp.min(squared)) * world.resolution - self.robot.radius
 
+    def _people(self, state: VolumeState, time: Scalar) -> Cylinders | None:
+        """Return the moving obstacles at a time since the start [s]; None without any."""
+        return None if state.moving is None else Cylinders.of(state.moving, self.world, time)
+
+    def _room(self, state: StateVector, world: VoxelGrid, people: Cylinders | None) -> Scalar:
+        """Return the distance from the robot's edge to the nearest solid voxel or person [m]."""
+        room = self.clearance(state, world)
+        if people is None:
+            return room
+        return jnp.minimum(room, people.gap(position_upwards(state)) - self.robot.radius)
+
     def frame(
         self, state: VolumeState, moment: Moment, inspect: Inspect | None, key: Key
     ) -> dict[str, Any]:
@@ -364,6 +477,9 @@ class VolumeScenario(Scenario):
             "voxels": jnp.packbits(grid.is_occupied.reshape(-1)),
             "plan": plan,
             "is_found": state.is_seen,
+            "movers": jnp.zeros((0, 3))
+            if state.moving is None
+            else state.moving.discs(moment.time),
         }
 
     def recording(
@@ -373,6 +489,7 @@ class VolumeScenario(Scenario):
         run: ChunkedRun[Any, VolumeRecord, VolumeFrame],
     ) -> VolumeRecording:
         """Make the recording of a run."""
+        last = run.state.task
         local = VolumeRecording(
             **run.common(self.period),
             world=np.asarray(self.world.is_occupied),
@@ -386,9 +503,35 @@ class VolumeScenario(Scenario):
             target_coverage=float(self.target_coverage),
             robot_radius=float(self.robot.radius),
             targets=np.asarray(self.targets),
+            goal=None if self.goal_check is None else np.asarray(self.goal_check.position),
+            is_at_goal=self.goal_check is not None and not bool(self.is_unfinished(last)),
+            boxes=np.zeros((0, 6)) if self.keep_out is None else np.asarray(self.keep_out.boxes),
             given_up_step=run.num_steps if bool(self.is_given_up(run.state.task)) else None,
         )
         return local.move(self.datum.offset)
+
+    @property
+    def keep_out(self) -> KeepOutBoxes | None:
+        """Boxes that the robot must not enter; None without any."""
+        for part in self.perception.parts:
+            if isinstance(part, KeepOutBoxes):
+                return part
+        return None
+
+    def _is_barred(self, state: StateVector) -> Flag | None:
+        """Check whether a part of the robot is in a keep-out box; None without any."""
+        boxes = self.keep_out
+        if boxes is None:
+            return None
+        return boxes.distance(position_upwards(state)) < self.robot.radius
+
+    def _is_there(self, check: GoalCheck, state: VolumeState) -> Flag:
+        """Check whether the robot has come to rest at its goal."""
+        assert state.motion is not None
+        heading = self.robot.heading(state.robot)
+        pose = jnp.append(position_upwards(state.robot), heading)
+        there: Flag = check.is_reached(pose, state.motion)
+        return there
 
     def _stop(self, state: StateVector) -> StateVector:
         """Return the state of a robot that keeps its position and attitude, at rest."""
@@ -404,26 +547,100 @@ def voxel_states(log_odds: Float[Array, "*N"]) -> UInt8[Array, "*N"]:
 
 
 def _check_targets(
-    targets: Rows | None, world: VoxelGrid, seen: np.ndarray, datum: Datum
+    targets: Rows | None,
+    world: VoxelGrid,
+    seen: np.ndarray,
+    is_barred: np.ndarray,
+    datum: Datum,
 ) -> Float[Array, "M 3"]:
     """Return targets (M, 3) [m], each in a voxel that a level sensor can see.
 
     Raises:
-        ValueError: another shape, or a target elsewhere.
+        ValueError: another shape, a target elsewhere, or all targets in keep-out boxes.
     """
     if targets is None:
         return on_device(np.zeros((0, 3), np.float32))
-    places = _checks.array("targets", targets, ("M", 3), may_be_empty=True)
+    places, outside = _checks.array("targets", targets, ("M", 3), may_be_empty=True), 0
     for index, place in enumerate(np.asarray(places, np.float64)):
         voxel = np.floor((place - np.asarray(world.origin))[::-1] / world.resolution).astype(int)
         is_in = ((voxel >= 0) & (voxel < seen.shape)).all()
         if not is_in or not seen[tuple(voxel)]:
-            shown = ", ".join(f"{round(float(each), 3):.10g}" for each in datum.round_to_map(place))
             raise ValueError(
-                f"targets[{index}] is ({shown}); accepted: a free voxel that a sensor sees from "
-                "where the robot can get"
+                f"targets[{index}] is {_show(place, datum)}; accepted: a free voxel that a sensor "
+                "sees from where the robot can get"
             )
+        outside += not is_barred[tuple(voxel)]
+    if len(places) and not outside:
+        raise ValueError(
+            f"targets are {len(places)}, all in keep-out boxes; accepted: one outside at least"
+        )
     return places
+
+
+def _show(place: np.ndarray, datum: Datum) -> str:
+    """Return the coordinates (x, y, z) of a place in the file's, for a message."""
+    # To the millimetre: single precision has no more.
+    rounded = (round(float(each), 3) for each in datum.round_to_map(place[:3]))
+    return f"({', '.join(f'{each:.10g}' for each in rounded)})"
+
+
+def _check_goal(
+    check: GoalCheck,
+    world: VoxelGrid,
+    places: np.ndarray,
+    is_barred: np.ndarray,
+    radius: float,
+    datum: Datum,
+    *,
+    has_targets: bool,
+) -> None:
+    """Check that a goal is within its radius of a voxel at whose centre the robot can get.
+
+    `places` (D, H, W) are these voxels, and `radius` is that of the robot [m].
+    """
+    at = _show(np.asarray(check.position), datum)
+    if has_targets:
+        raise ValueError(f"goal is {at} beside targets; accepted: one of them")
+    voxel = np.asarray(jnp.floor(world.to_grid(check.position))).astype(int)
+    if ((voxel >= 0) & (voxel < world.shape)).all() and is_barred[tuple(voxel)]:
+        raise ValueError(f"goal is {at}, in a keep-out box; accepted: outside of all")
+    side = world.resolution
+    goal = np.asarray(check.position, np.float64) - np.asarray(world.origin, np.float64)
+    centres = (np.argwhere(places)[:, ::-1] + 0.5) * side
+    nearest = float(np.linalg.norm(centres - goal, axis=1).min())
+    # Between the centres of voxels there is room as well.
+    most = max(float(check.radius), side)
+    if nearest > most:
+        raise ValueError(
+            f"goal is {at}, which a robot of radius {radius:g} m cannot reach from its start: "
+            f"{nearest:.2f} m is the nearest it gets; accepted: a goal within "
+            f"{most:g} m of where it can go"
+        )
+
+
+def _check_perception(
+    perception: VolumePerception | None,
+    sensors: tuple[VolumeSensor, ...],
+    world: VoxelGrid,
+    robot: Quadrotor,
+    check: GoalCheck | None,
+) -> VolumePerception:
+    """Check that a perception has the goal of a scenario, or make one when absent."""
+    goal, heading = (None, None) if check is None else (check.position, check.heading)
+    if perception is None:
+        return VolumePerception(
+            sensors, world.resolution, robot.radius, goal=goal, goal_heading=heading
+        )
+    for name, own, wanted in (
+        ("goal", perception.goal, goal),
+        ("goal_heading", perception.goal_heading, heading),
+    ):
+        values = [None if each is None else each.tolist() for each in (own, wanted)]
+        if values[0] != values[1]:
+            raise ValueError(
+                f"perception has the {name} {values[0]}; accepted: the scenario's, {values[1]}"
+            )
+    return perception
 
 
 def _start_voxel(
@@ -437,9 +654,7 @@ def _start_voxel(
     side, origin = world.resolution, np.asarray(world.origin, np.float64)
     grid = ((start[:3] - origin) / side)[::-1]
     voxel = np.floor(grid).astype(int)
-    # To the millimetre: single precision has no more.
-    shown = ", ".join(f"{round(float(each), 3):.10g}" for each in datum.round_to_map(start[:3]))
-    where = f"start is ({shown})"
+    where = f"start is {_show(start, datum)}"
     if not ((voxel >= 0) & (voxel < solid.shape)).all():
         ends = origin + np.array(solid.shape[::-1]) * side
         lows, highs = datum.round_to_map(origin), datum.round_to_map(ends)

@@ -10,25 +10,31 @@ import jax
 import numpy as np
 
 from jaxplore._text import printable_path
+from jaxplore.belief.part import Part
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, read_volume
+from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.generators.volumes import START, generate_volume
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
+from jaxplore.parts.keep_out.boxes import KeepOutBoxes
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
     volume_explorer,
     volume_informative_mppi,
     volume_target_explorer,
 )
+from jaxplore.planning.strategy.volume_approach import GoalApproach
 from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments, parameter_default
 from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.volume.observable import room_around
+from jaxplore.simulation.volume.people import floor_plan
 from jaxplore.simulation.volume.scenario import VolumeScenario
 from jaxplore.tasks.robot import (
     build_faults,
@@ -53,10 +59,14 @@ def build_volume(settings: VolumeSettings) -> Experiment:
     world, datum = build_world(settings)
     robot = Quadrotor(**arguments(settings.robot, Quadrotor))
     sensors = build_sensors(settings)
+    goal = None if settings.goal is None else datum.to_local(settings.goal)
     perception = VolumePerception(
         sensors,
         world.resolution,
         robot.radius,
+        goal=goal,
+        goal_heading=None if goal is None else settings.goal_heading,
+        parts=_parts(settings, datum),
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
     )
@@ -66,6 +76,8 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         sensors,
         _start(settings, world, robot, datum),
         perception=perception,
+        goal=goal,
+        moving_obstacles=_people(settings, world),
         targets=[datum.to_local(each) for each in settings.search] or None,
         faults=build_faults(settings.faults, datum),
         datum=datum,
@@ -74,12 +86,36 @@ def build_volume(settings: VolumeSettings) -> Experiment:
     ).with_variation(build_variation(settings.variation))
     controller = set_parameters(_controller(settings, scenario), settings.parameters)
     controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
+    if goal is not None:
+        controller = GoalApproach(controller, robot)
     return Experiment(
         with_latency(controller, settings, scenario),
         scenario,
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),
     )
+
+
+def _parts(settings: VolumeSettings, datum: Datum) -> tuple[Part, ...]:
+    """Build what the robot knows beside its map."""
+    if settings.keep_out is None:
+        return ()
+    boxes = [
+        [*datum.to_local(box[:3]), *datum.to_local(box[3:])] for box in settings.keep_out.boxes
+    ]
+    return (KeepOutBoxes(boxes),)
+
+
+def _people(settings: VolumeSettings, world: VoxelGrid) -> MovingObstacles | None:
+    """Build the people who walk in the volume; None without any."""
+    given = settings.people
+    if not given.number:
+        return None
+    seed = settings.seed if given.seed is None else given.seed
+    people = walking_people(
+        floor_plan(world), given.number, speed=given.speed, radius=given.radius, seed=seed
+    )
+    return MovingObstacles(people)
 
 
 def build_world(settings: VolumeSettings) -> tuple[VoxelGrid, Datum]:
@@ -199,6 +235,8 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
         **arguments(settings.controller, volume_explorer),
         **arguments(settings.robot, volume_explorer),
         "control_period": 1.0 / settings.rates.control,
+        "has_moving_obstacles": scenario.moving_obstacles is not None,
+        "has_goal": scenario.goal_check is not None,
     }
     name = settings.architecture
     if name == "explorer":
@@ -217,6 +255,11 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
     own = import_rule(name) if is_own(name) else None
     if own is None and is_own(name):
         return import_controller(name, scenario)
+    if settings.goal is not None:
+        raise ValueError(
+            f"architecture is {name!r} beside a goal, and its rule chooses places of its own; "
+            f"accepted: explorer, {', '.join(INFORMATIVE)}"
+        )
     return volume_target_explorer(
         scenario.robot,
         name if own is None else own,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxplore.report.drawing.colours import FREE, TARGET, blend
-from jaxplore.report.drawing.palette import PLAN, ROBOT, TRAIL, Colour
+from jaxplore.report.drawing.palette import PLAN, REFERENCE, ROBOT, TRAIL, Colour
 from jaxplore.report.volume.data import VolumeData, VolumeFrame
 from jaxplore.report.volume.space import height_colours, surface
 from jaxplore.scenes.scene import Scene
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class VolumeScene(Scene):
     """The voxels that the robot has found to be occupied, its trail and its plan, in space."""
 
-    layers = ("voxels", "plan", "trail", "targets")
+    layers = ("voxels", "plan", "trail", "targets", "goal")
 
     def __init__(self, server: "viser.ViserServer", recording: VolumeData) -> None:
         super().__init__(server)
@@ -38,6 +38,7 @@ class VolumeScene(Scene):
         self._line("trail", trail, TRAIL, 2.0)
         self._line("plan", frame.plan, PLAN, 4.0)
         self._draw_targets(frame)
+        self._draw_goal()
         self._draw_robot(frame)
 
     def clear(self) -> None:
@@ -80,6 +81,17 @@ class VolumeScene(Scene):
             point_shape="circle",
             precision="float32",
             visible=self._is_shown("targets"),
+        )
+
+    def _draw_goal(self) -> None:
+        if self._recording.goal is None or "goal" in self._nodes:
+            return
+        self._nodes["goal"] = self._server.scene.add_icosphere(
+            "/goal",
+            radius=self._recording.robot_radius,
+            color=REFERENCE[:3],
+            position=tuple(self._recording.goal.tolist()),
+            visible=self._is_shown("goal"),
         )
 
     def _draw_robot(self, frame: VolumeFrame) -> None:

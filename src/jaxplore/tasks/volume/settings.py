@@ -5,10 +5,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES
+from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES, MOST_PEOPLE
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.files.volume_file import SUFFIXES, read_volume
+from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.generators.volumes import generate_volume
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
@@ -20,6 +21,7 @@ from jaxplore.sensing.volume import DepthCamera, RingLidar
 from jaxplore.settings.architectures import BASELINES, BY_RULE
 from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.defaults import in_degrees, setting
+from jaxplore.settings.people import WALKING
 from jaxplore.settings.readers import Readers, architectures
 from jaxplore.settings.robot import SensorModelSettings, ViewDegrees
 from jaxplore.settings.sections import (
@@ -164,6 +166,33 @@ class VolumeFieldSettings(Section):
     num_elevations: Headings = setting(VolumePerception, "num_elevations")
     max_clearance: Body = setting(VolumePerception, "max_clearance")
     window: tuple[Extent, Extent, Extent] | None = setting(VolumePerception, "window")
+    unknown_factor: NonNegative = setting(VolumePerception, "unknown_factor")
+
+
+class BoxSettings(Section):
+    """Boxes that the robot must not enter: see `jaxplore.parts.KeepOutBoxes`.
+
+    Args:
+        boxes: boxes (x_min, y_min, z_min, x_max, y_max, z_max) with z up [m].
+    """
+
+    boxes: Annotated[
+        tuple[tuple[Real, Real, Real, Real, Real, Real], ...], Field(max_length=MOST_NAMES)
+    ] = ()
+
+
+class VolumePeopleSettings(Section):
+    """People who walk on the floor of the volume: see `jaxplore.maps.walking_people`.
+
+    Args:
+        number: number of people.
+        seed: seed of their ways; the run's when absent.
+    """
+
+    number: Annotated[int, Field(ge=0, le=MOST_PEOPLE)] = 0
+    speed: Annotated[NonNegative, WALKING] = setting(walking_people, "speed")
+    radius: Annotated[Body, WALKING] = setting(walking_people, "radius")
+    seed: Annotated[Seed | None, WALKING] = None
 
 
 class VolumeControllerSettings(Section):
@@ -231,6 +260,9 @@ class VolumeSettings(RunSettings):
             (`jaxplore.planning.TargetRule`) or a function from a scenario to a controller.
         search: targets to find, a list of places (x, y, z) with z up [m]; the run then ends when
             all have been seen.
+        goal: goal (x, y, z) with z up [m]; the run then ends when the robot has come to rest there.
+        keep_out: boxes that the robot must not enter; none when absent.
+        people: people who walk in the volume.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.
@@ -249,6 +281,14 @@ class VolumeSettings(RunSettings):
     architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
     resolution: Spacing = setting(generate_volume, "resolution")
     search: Annotated[tuple[tuple[Real, Real, Real], ...], Field(max_length=MOST_NAMES)] = ()
+    goal: tuple[Real, Real, Real] | None = None
+    goal_radius: Length = setting(VolumeScenario, "goal_radius")
+    goal_heading: Real | None = setting(VolumeScenario, "goal_heading")
+    goal_tolerance: Positive = setting(VolumeScenario, "goal_tolerance")
+    goal_speed: Positive = setting(VolumeScenario, "goal_speed")
+    keep_out: BoxSettings | None = None
+    people: VolumePeopleSettings = VolumePeopleSettings()
+    tracking_noise: tuple[NonNegative, NonNegative] = setting(VolumeScenario, "tracking_noise")
     time_limit: Duration = 300.0
     target_coverage: Share = setting(VolumeScenario, "target_coverage")
     give_up_after: Duration | None = setting(VolumeScenario, "give_up_after")

@@ -1,0 +1,111 @@
+"""The last metre to a goal in a volume: a position controller takes over."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, ControlVector, Flag, Key, Scalar, StateVector
+from jaxplore.belief.belief import part
+from jaxplore.belief.volume_belief import GoalKnowledge, VolumeBelief
+from jaxplore.control.base import Controller, Info, ModelBasedController, SampledPlan
+from jaxplore.costs.moving import MovingObstacleCost
+from jaxplore.dynamics.base import State
+from jaxplore.dynamics.quadrotor import Quadrotor, position_upwards
+from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
+
+AWAY = 0.8
+"""Distance of what moves beyond which the position controller takes over [m]."""
+POINTS = 9
+"""Points of the straight line to the goal at which the clearance is read."""
+
+
+class GoalApproach(ModelBasedController):
+    """Flies to a goal with another controller, and over the last metre with a position controller.
+
+    Within `near` of the goal, where the straight line to it keeps the robot's radius from all that
+    is not known to be free, and where nothing that moves is within 0.8 m, the command is that of
+    `QuadrotorFollower`, which comes to rest at the
+    goal and turns to its heading if it has one. Sampled commands vary by more than the speed at
+    which a robot is at rest.
+
+    Args:
+        flying: controller that flies to the goal, such as that of `volume_explorer`.
+        near: distance from the goal at which the position controller takes over [m].
+
+    Raises:
+        ValueError: a controller of another class or for another robot, a distance that is not
+            positive.
+    """
+
+    belief_type: ClassVar[type] = VolumeBelief
+
+    flying: Controller
+    dynamics: Quadrotor
+    near: Scalar
+    follower: QuadrotorFollower
+
+    def __init__(self, flying: Controller, dynamics: Quadrotor, near: ArrayLike = 0.75) -> None:
+        _kinds.instance("flying", flying, Controller)
+        _kinds.instance("dynamics", dynamics, Quadrotor)
+        self.flying, self.dynamics = flying, dynamics
+        self.near = _checks.scalar("near", near, above=0.0)
+        self.follower = QuadrotorFollower()
+
+    def init(self) -> Any:
+        """Return the initial state, that of the controller that flies."""
+        return self.flying.init()
+
+    def step(
+        self, state: Any, observation: StateVector, belief: Any = None, *, key: Key
+    ) -> tuple[ControlVector, Any, Info]:
+        """Compute one control; see `Controller.step`."""
+        control, after, info = self.flying.step(state, observation, belief, key=key)
+        goal: GoalKnowledge = part(belief, "goal")
+        follower = self.follower
+        if goal.heading is not None:
+            follower = eqx.tree_at(
+                lambda each: each.heading, follower, goal.heading, is_leaf=lambda each: each is None
+            )
+        # A mirror in z: the model has z down.
+        target = position_upwards(goal.position)
+        held = follower.control(self.dynamics, observation, target, jnp.zeros(3))
+        held = jnp.clip(held, self.dynamics.control_min, self.dynamics.control_max)
+        return jnp.where(self._takes_over(observation, belief, goal), held, control), after, info
+
+    def _takes_over(self, observation: StateVector, belief: Any, goal: GoalKnowledge) -> Flag:
+        """Check whether the goal is near, and the straight line to it is free."""
+        here = position_upwards(observation)
+        gap = goal.position - here
+        shares = jnp.linspace(0.0, 1.0, POINTS)[:, None]
+        line: Float[Array, "9 3"] = here + shares * gap
+        room = jax.vmap(belief.clearance)(line).min()
+        is_free: Flag = (jnp.sum(gap * gap) < self.near * self.near) & (
+            room >= self.dynamics.radius
+        )
+        if belief.obstacles is None:
+            return is_free
+        state = State(observation, self.dynamics, self.dynamics.default_control)
+        is_alone: Flag = is_free & (MovingObstacleCost().room(state, belief.obstacles) > AWAY)
+        return is_alone
+
+    def inspect(
+        self,
+        state: Any,
+        observation: StateVector,
+        belief: Any = None,
+        *,
+        key: Key,
+        num_trajectories: int = 50,
+    ) -> SampledPlan:
+        """Return the trajectories of the controller that flies."""
+        return self.flying.inspect(
+            state, observation, belief, key=key, num_trajectories=num_trajectories
+        )
+
+    def at_period(self, control_period: ArrayLike) -> "GoalApproach":
+        """Return a copy that is called every `control_period` seconds."""
+        return GoalApproach(self.flying.at_period(control_period), self.dynamics, self.near)
