@@ -24,9 +24,9 @@ def public_names(package: str) -> set[str]:
     file = Path(str(importlib.import_module(f"jaxplore.{package}").__file__))
     if file.name != "__init__.py":
         return set(jaxplore._PACKAGES[package])
-    imports = [
-        node for node in ast.parse(file.read_text()).body if isinstance(node, ast.ImportFrom)
-    ]
+    # Names that are imported when they are used stand under TYPE_CHECKING.
+    tree = ast.walk(ast.parse(file.read_text()))
+    imports = [node for node in tree if isinstance(node, ast.ImportFrom)]
     return {alias.name for node in imports for alias in node.names if alias.asname == alias.name}
 
 

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.belief.test_volume_geodesic import SHAPE, plain
@@ -58,6 +59,7 @@ def test_the_cost_to_go_is_that_of_dijkstra(seed: int) -> None:
     assert np.hypot(*np.asarray(way)) <= 1.0 + 1e-5
 
 
+@pytest.mark.long
 def test_the_way_leads_through_the_door_and_not_to_the_goal_behind_the_wall() -> None:
     wall_room = np.full(HALVES, 2.0, np.float32)
     # A wall across x with a door at the far end of y.

@@ -138,7 +138,7 @@ def test_each_robot_is_led_to_the_cluster_that_is_assigned_to_it() -> None:
         perception=types.SimpleNamespace(field_sensor=types.SimpleNamespace(stride=stride))
     )
     own = RobotState(Belief(grid=grid), Knowledge.nothing())
-    state = ExplorationState(*[None] * 8)._replace(own=own)
+    state = ExplorationState(*[None] * 9)._replace(own=own)
     for places in ((0, 1, 2), (1, 0), (0,), (1,)):
         heard = Heard(
             jnp.zeros((3, 3, *grid.shape)),

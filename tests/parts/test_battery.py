@@ -67,7 +67,7 @@ def test_it_returns_while_the_charge_reaches_and_goes_on_when_full(
 ) -> None:
     battery = Battery((0.0, 0.0), capacity=1.0, reserve=0.2, enough=0.9, **NUMBERS)
     energy, way = jnp.float32(charge * JOULES), jnp.float32(metres if has_way else np.inf)
-    after = battery.plan_errand(Charge(energy, jnp.array(was_returning)), way)
+    after = battery.plan_errand(Charge(energy, jnp.zeros(2), jnp.array(was_returning)), way)
     needed = 0.2 * JOULES + metres * (5.0 + 20.0 / 0.6)
     if has_way and charge * JOULES < needed - 1.0:
         assert bool(after.is_returning)

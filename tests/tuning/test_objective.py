@@ -53,6 +53,10 @@ def test_unknown_metrics_are_named_with_near_ones() -> None:
         Objective.parse("colisions").value({"collisions": 1.0, "coverage": 0.5})
     known = list_metrics(ExplorationMetrics)
     Objective.parse("time_to.90 + members.explorer.share + compute.step_ms_p50").check(known)
+    watched = list_metrics(ExplorationMetrics, ("watch",))
+    Objective.parse("watch.mean_idleness").check(watched)
+    with pytest.raises(ValueError, match=r"metric watch.mean_idleness is not known"):
+        Objective.parse("watch.mean_idleness").check(known)
     with pytest.raises(ValueError, match=r"metric time_to.91 is not known; .*time_to.90"):
         Objective.parse("time_to.91").check(known)
     with pytest.raises(ValueError, match=r"metric coverage is not known"):
@@ -65,7 +69,7 @@ def test_every_number_of_a_report_is_known(report) -> None:
     fields = {each.name for each in dataclasses.fields(report)}
     assert {name.split(".")[0] for name in known} <= fields
     left_out = fields - {name.split(".")[0] for name in known}
-    assert left_out <= {"versions", "seed", "coverage_curve", "curves", "lap_times"}
+    assert left_out <= {"versions", "seed", "coverage_curve", "curves", "lap_times", "parts"}
 
 
 def test_numbers_are_flattened() -> None:

@@ -28,9 +28,8 @@ class GoalApproach(ModelBasedController):
 
     Within `near` of the goal, where the straight line to it keeps the robot's radius from all that
     is not known to be free, and where nothing that moves is within 0.8 m, the command is that of
-    `QuadrotorFollower`, which comes to rest at the
-    goal and turns to its heading if it has one. Sampled commands vary by more than the speed at
-    which a robot is at rest.
+    `QuadrotorFollower`. It comes to rest at the goal, and turns to its heading if it has one.
+    Sampled commands vary by more than the speed at which a robot is at rest.
 
     Args:
         flying: controller that flies to the goal, such as that of `volume_explorer`.

@@ -60,7 +60,8 @@ class ControllerEpisodes(Episodes):
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of the metrics of an episode."""
-        return list_metrics(self._example.scenario)
+        scenario = self._example.scenario
+        return list_metrics(scenario.metrics_type, scenario.metric_groups)
 
     @property
     def default_objective(self) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxplore.parameters import nearest
 from jaxplore.report.compute import Compute
 from jaxplore.report.statistics import tail_mean
-from jaxplore.simulation.scenario import Scenario
+from jaxplore.report.metrics import Metrics
 
 type Numbers = Mapping[str, float | None]
 """Metrics of one episode by name; None for an event that never happened."""
@@ -153,9 +153,12 @@ class Objective:
         return math.fsum(values) / len(values)
 
 
-def list_metrics(scenario: Scenario) -> tuple[str, ...]:
-    """Return the names of the metrics of a scenario; a name that ends with a dot is a prefix."""
-    metrics_type, names = scenario.metrics_type, [f"{each}." for each in scenario.metric_groups]
+def list_metrics(metrics_type: type[Metrics], groups: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the names of the metrics of a class; a name that ends with a dot is a prefix.
+
+    `groups` are names of groups beside them, see `Scenario.metric_groups`.
+    """
+    names = [f"{each}." for each in groups]
     for field in dataclasses.fields(metrics_type):
         if field.name in ("time_to", "path_to"):
             names += [f"{field.name}.{level}" for level in metrics_type.levels]

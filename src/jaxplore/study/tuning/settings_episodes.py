@@ -95,7 +95,8 @@ class SettingsEpisodes(Episodes):
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of the metrics of an episode."""
-        return list_metrics(self.example.scenario)
+        scenario = self.example.scenario
+        return list_metrics(scenario.metrics_type, scenario.metric_groups)
 
     @property
     def default_objective(self) -> str:
