@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxplore.parameters import nearest
 from jaxplore.report.compute import Compute
-from jaxplore.report.statistics import tail_mean
 from jaxplore.report.metrics import Metrics
+from jaxplore.report.statistics import tail_mean
 
 type Numbers = Mapping[str, float | None]
 """Metrics of one episode by name; None for an event that never happened."""
