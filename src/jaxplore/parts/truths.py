@@ -5,10 +5,20 @@ from collections.abc import Callable, Sequence
 from jaxplore import _kinds
 from jaxplore.belief.part import Part
 from jaxplore.parts.anomalies.truth import PlantedAnomalies
+from jaxplore.parts.battery.truth import TrueBattery
 from jaxplore.parts.recognition.truth import Objects
 from jaxplore.parts.watch.truth import WatchTruth
+from jaxplore.parts.wheels.truth import Wheels
 from jaxplore.simulation.exploration.part_truth import PartTruth
 
+TRUTHS: tuple[type[PartTruth], ...] = (
+    WatchTruth,
+    PlantedAnomalies,
+    Objects,
+    Wheels,
+    TrueBattery,
+)
+"""Truths that come with the package, a row each. A run that is read finds their reports here."""
 DEFAULTS: dict[str, Callable[[], PartTruth]] = {
     each.name: each for each in (WatchTruth, PlantedAnomalies, Objects)
 }

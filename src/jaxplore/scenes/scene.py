@@ -197,9 +197,18 @@ class Scene(abc.ABC):
         self.lines(f"{name}/rim", segments(rims, 1.02 * height), MOVER_EDGE, 3.0)
 
     def ring(self, name: str, middle: np.ndarray, radius: float, colour: Colour) -> None:
-        """Draw a disc around a point (2,) [m]."""
+        """Draw a flat disc around a point (2,) [m]."""
+        self._draw_disc(name, middle, radius, 0.3 * radius, colour)
+
+    def disc(self, name: str, middle: np.ndarray, radius: float, colour: Colour) -> None:
+        """Draw a robot that is a disc around a point (2,) [m]."""
+        self._draw_disc(name, middle, radius, 2.0 * HEAD_ROOM * radius, colour)
+
+    def _draw_disc(
+        self, name: str, middle: np.ndarray, radius: float, height: float, colour: Colour
+    ) -> None:
         outline = np.asarray(middle, np.float64) + _disc(radius)
-        self.mesh(name, *prisms(outline[None], 0.0, 0.3 * radius), colour)
+        self.mesh(name, *prisms(outline[None], 0.0, height), colour)
 
 
 def linear_light(colours: np.ndarray) -> np.ndarray:

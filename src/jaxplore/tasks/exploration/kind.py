@@ -12,7 +12,7 @@ from jaxplore.settings.sections import read_settings
 from jaxplore.tasks.exploration.build import build_exploration, choose_architectures, with_start
 from jaxplore.tasks.exploration.fleet_topics import FleetContent
 from jaxplore.tasks.exploration.memory import estimate_exploration
-from jaxplore.tasks.exploration.scene import ExplorationScene
+from jaxplore.tasks.exploration.scene import ExplorationScene, FleetScene
 from jaxplore.tasks.exploration.settings import (
     OFFICE,
     SCENARIOS,
@@ -54,6 +54,6 @@ EXPLORATION = Kind(
     with_start=with_start,
     shown=(
         Shown(ExplorationData, ExplorationScene, ExplorationContent, is_relative=True),
-        Shown(FleetData, content=FleetContent),
+        Shown(FleetData, FleetScene, FleetContent, is_relative=True),
     ),
 )
