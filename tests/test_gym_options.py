@@ -24,6 +24,18 @@ def test_a_scenario_of_ones_own_is_taken() -> None:
     assert int(environment.unwrapped.environment.max_steps) == 150
 
 
+@pytest.mark.long
+def test_an_agent_commands_all_robots_of_a_fleet_at_once() -> None:
+    environment = gymnasium.make(NAME, fleet={"robots": 2}, **SMALL)
+    assert environment.action_space.shape == (4,)
+    observation, _ = environment.reset(seed=0)
+    after, _, terminated, _, _ = environment.step(np.array([1.0, 0.0, 1.0, 0.0], np.float32))
+    moved = np.abs(after["state"] - observation["state"])
+    assert not terminated
+    # Both drive ahead, and no guard brakes them.
+    assert (moved.reshape(2, -1)[:, :2].max(axis=1) > 0.0).all()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -8,6 +8,7 @@ from jaxplore import _checks
 from jaxplore._limits import MOST_AT_ONCE
 from jaxplore.planning.presets.explorer import waypoint_mppi
 from jaxplore.settings.defaults import parameter_default
+from jaxplore.settings.fleet import FLEET
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.environment.action_modes import (
     ActionMode,
@@ -55,7 +56,8 @@ def build_environment(
         settings: settings of a run, as in a settings file. With a `path` the task is path
             following, with a `volume` the exploration of one, otherwise that of a map; the map
             is the office unless another is given.
-            `time_limit` ends an episode, `controller` is the MPPI of waypoints.
+            `time_limit` ends an episode, `controller` is the MPPI of waypoints. An action of a
+            `fleet` is the controls of all its robots, which have no guards.
 
     Raises:
         ValueError: an unknown action, settings that are not accepted, settings that a given
@@ -112,6 +114,9 @@ def _check_settings(scenario: object, settings: dict[str, Any]) -> RunSettings:
         entries["map"] = os.fspath(entries["map"])
     if isinstance(entries["controller"], Mapping):
         entries["controller"] = {**DRIVE, **entries["controller"]}
+    if entries.get(FLEET) is not None:
+        # A guard stops one robot, and an agent commands all of a fleet at once.
+        entries.setdefault("guard", False)
     # The controller is that of waypoints, whatever the architecture.
     return default_kind().make_settings(entries)
 
