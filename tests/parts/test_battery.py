@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxplore as jx
+from jaxplore.onboard import Pilot
 from jaxplore.parts.battery.robot import JOULES, Battery, Charge
 from jaxplore.parts.battery.truth import DOCK_RADIUS, TrueBattery, drive_length
-from jaxplore.tasks.registry import make_settings
+from jaxplore.tasks.registry import build, make_settings
 
 SIDE = 0.1
 ROBOT = jx.DifferentialDrive(max_speed=1.0, radius=0.15)
@@ -181,3 +182,15 @@ def test_a_dock_must_be_reached_with_the_charge() -> None:
 def test_settings_of_a_battery_that_make_no_sense(entries, message) -> None:
     with pytest.raises(ValueError, match=f"setting {message}"):
         make_settings({"map": "office", "battery": entries})
+
+
+def test_a_robot_that_is_not_told_its_charge_has_no_battery() -> None:
+    controller = jx.explorer(ROBOT, horizon=5, num_samples=8)
+    with pytest.raises(ValueError, match="perception has the part 'battery'; accepted on a robot"):
+        Pilot(scenario(Battery()), controller, jax.random.key(0))
+    entries = {"map": "zones", "battery": {}}
+    with pytest.raises(ValueError, match="battery is given beside the architecture two-layer"):
+        build(make_settings(entries))
+    entries = {"map": "office", "architecture": "portfolio", "goal": [3.0, 3.0], "battery": {}}
+    with pytest.raises(ValueError, match="battery is given beside a goal in a portfolio"):
+        build(make_settings(entries))

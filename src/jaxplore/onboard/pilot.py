@@ -93,6 +93,13 @@ class Pilot:
             raise ValueError(
                 f"scenario has {len(scenario.sensors)} sensors; accepted: one, the lidar"
             )
+        sent = [part.name for part in scenario.perception.parts if part.has_errands]
+        if sent:
+            # It would take the battery to be full for ever.
+            raise ValueError(
+                f"perception has the part {sent[0]!r}; accepted on a robot: none that sends it "
+                "somewhere, because nothing tells it the charge"
+            )
         self.scenario, self.controller = scenario, controller
         self.options = PilotOptions() if options is None else options
         self.sensor, self.robot = scenario.sensors[0], scenario.robot
