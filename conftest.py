@@ -9,6 +9,7 @@ namespace and an empty working directory, and no test runner can spread them ove
 import contextlib
 import gc
 import hashlib
+import importlib
 import os
 import platform
 import re
@@ -64,11 +65,16 @@ jax.config.update("jax_traceback_in_locations_limit", 0)
 with install_import_hook("jaxplore", "beartype.beartype"):
     import jaxplore
 
-    # Packages are imported when they are first used: here, so that the hook sees them. The
-    # recorder imports the settings, which accept whole numbers where they say float.
+    # Packages are imported when they are first used: here, so that the hook sees them.
     for name in dir(jaxplore):
         if name != "recorder":
             getattr(jaxplore, name)
+    for name in ("content", "channels", "messages"):
+        importlib.import_module(f"jaxplore.topics.{name}")
+# The recorder imports the settings, which accept whole numbers where they say float.
+importlib.import_module("jaxplore.tasks.registry")
+with install_import_hook("jaxplore", "beartype.beartype"):
+    importlib.import_module("jaxplore.recorder")
 
 pytest_plugins = ("tests.suite.programs",)
 

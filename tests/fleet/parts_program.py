@@ -133,7 +133,8 @@ if __name__ == "__main__":
             ).max()
         )
         for name in one.records._fields
-        if name != "parts"
+        # Robots without a guard or an estimate have no field of it.
+        if name != "parts" and getattr(one.records, name) is not None
     }
     records = (each.records.parts["watch"] for each in (one, parts))
     for name, rows in zip(("mean", "worst"), zip(*records, strict=True), strict=True):

@@ -16,13 +16,12 @@ from jaxplore.control.base import Controller
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
-from jaxplore.tasks.registry import build, make_settings
+from jaxplore.tasks.registry import build, make_settings, without_unread
 
 pytestmark = pytest.mark.long
 
 SHORT: dict[str, Any] = {
     "map": "zones",
-    "resolution": 0.2,
     "rates": {"control": 25.0, "sensing": 25.0, "fields": 5.0},
     "lidar": {"num_beams": 12},
     "fields": {"num_directions": 12},
@@ -83,7 +82,7 @@ def check(flight: Flight) -> None:
 
 
 def experiment(**changes: Any) -> tuple[Controller, ExplorationScenario]:
-    made = build(make_settings({**SHORT, **changes}))
+    made = build(make_settings(without_unread({**SHORT, **changes})))
     return made.controller, made.scenario
 
 

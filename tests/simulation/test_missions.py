@@ -425,7 +425,7 @@ def test_it_lies_where_it_tipped_over() -> None:
     given = scenario(start=(3.0, 3.0, 0.0), chassis=Chassis(0.4, 0.4, 1.1))
     _, state = begin(given)
     (wheels,) = [each for each in given.truths if isinstance(each, Wheels)]
-    tipped = wheels.init()._replace(tipping=jnp.asarray(TIPPING_TIME))
+    tipped = wheels.init(jnp.zeros(3))._replace(tipping=jnp.asarray(TIPPING_TIME))
     moving = state.task.robot.at[3].set(1.0)
     lying = state.task._replace(truths={**state.task.truths, "wheels": tipped}, robot=moving)
     assert not bool(given.is_unfinished(lying))

@@ -1,5 +1,6 @@
 """The registry of kinds of tasks. Nothing else lists them."""
 
+import copy
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -121,8 +122,12 @@ def places() -> dict[str, Entries]:
 
 
 def words() -> dict[str, Entries]:
-    """Return the names that stand for a kind or a part of it, and their default entries."""
-    return {name: entries for kind in KINDS.values() for name, entries in kind.words.items()}
+    """Return the names that stand for a kind or a part of it, and their default entries.
+
+    They are copies: the options of a command change entries where they are.
+    """
+    known = {name: entries for kind in KINDS.values() for name, entries in kind.words.items()}
+    return copy.deepcopy(known)
 
 
 def place_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:

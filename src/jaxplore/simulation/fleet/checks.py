@@ -45,12 +45,6 @@ def check_members(
                 f"targets of robots[{index}] differ; accepted: those of robots[0], for which all "
                 "robots look"
             )
-        names = [[truth.name for truth in one.truths] for one in (each, first)]
-        if names[0] != names[1]:
-            raise ValueError(
-                f"truths of robots[{index}] are {names[0]}; accepted: those of robots[0], "
-                f"{names[1]}"
-            )
         ends = [
             None if one.goal is None else np.asarray(one.goal).tolist() for one in (each, first)
         ]
@@ -68,6 +62,12 @@ def check_members(
         if names[0] != names[1]:
             raise ValueError(
                 f"parts of robots[{index}] are {names[0]}; accepted: those of robots[0], {names[1]}"
+            )
+        names = [[truth.name for truth in one.truths] for one in (each, first)]
+        if names[0] != names[1]:
+            raise ValueError(
+                f"truths of robots[{index}] are {names[0]}; accepted: those of robots[0], "
+                f"{names[1]}"
             )
         for name in ("control_period", "steps_per_scan", "steps_per_field"):
             here, there = (np.asarray(getattr(one, name)).item() for one in (each, first))
