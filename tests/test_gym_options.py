@@ -101,6 +101,7 @@ def test_importing_jaxplore_neither_imports_gymnasium_nor_registers_anything() -
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 
+@pytest.mark.long
 def test_a_path_is_an_environment_like_any_other() -> None:
     """Held controls give the states of the closed loop, and progress is what is earned."""
     register_environment()

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 import jaxplore as jx
 from jaxplore.onboard import Pilot
 from jaxplore.parts.battery.robot import JOULES, Battery, Charge
-from jaxplore.parts.battery.truth import DOCK_RADIUS, TrueBattery, drive_length
+from jaxplore.parts.battery.truth import DOCK_RADIUS, BatteryState, TrueBattery, drive_length
+from jaxplore.simulation.exploration.part_truth import Drive
 from jaxplore.tasks.registry import build, make_settings
 
 SIDE = 0.1
@@ -60,6 +61,31 @@ def test_energy_is_that_of_time_way_and_load(idle, per_metre, mass, before, afte
     used = float(battery.consumption.energy(*given_))
     gained = max(0.0, 0.5 * mass * (after**2 - before**2))
     assert used == pytest.approx(idle * period + per_metre * way + gained, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.long
+@settings(max_examples=20)
+@given(st.floats(1.0, 1e5), st.floats(1.0, 1e3), st.floats(0.1, 0.9))
+def test_a_battery_of_any_size_runs_down_and_is_charged_by_what_passes(capacity, idle, charge):
+    """Against float64: the energy of a period is small beside that of the battery."""
+    battery = Battery(capacity=capacity, idle=idle)
+    power, steps = 3.0 * idle, 5000
+    truth = TrueBattery(battery, power=power, charge=charge)
+    first = truth.init(jnp.zeros(3))
+    for dock, gained in ((first.dock, power), (first.dock + 9.0, 0.0)):
+        last = rest_for(truth, first._replace(dock=dock), steps)
+        wanted = charge * capacity * JOULES + steps * 0.05 * (gained - idle)
+        wanted = np.clip(wanted, 0.0, capacity * JOULES)
+        passed = steps * 0.05 * power
+        assert float(last.energy) == pytest.approx(wanted, rel=3e-7, abs=2e-4 * passed)
+
+
+@jax.jit
+def rest_for(truth: TrueBattery, state: BatteryState, steps: int) -> BatteryState:
+    """Return the battery of a robot that stands at (0, 0) for some periods."""
+    pose, control = jnp.zeros(ROBOT.state_size), jnp.zeros(2)
+    drive = Drive(ROBOT, pose, pose, control, None, jnp.float32(0.05))
+    return jax.lax.fori_loop(0, steps, lambda _, before: truth.update(before, drive), state)
 
 
 @given(st.floats(0.0, 1.0, width=32), st.floats(0.0, 60.0, width=32), st.booleans(), st.booleans())

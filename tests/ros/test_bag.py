@@ -547,3 +547,8 @@ def test_a_few_bytes_that_stand_for_many_are_refused(
     monkeypatch.setattr(bag, "check_chunks", lambda path: check_chunks(path, 1_000_000))
     with pytest.raises(ValueError, match="a chunk has more than"):
         bag_topics(folder)
+    # No more is read of a name than a name has.
+    struct.pack_into("<I", data, at + 12, 2**31)
+    file.write_bytes(data)
+    with pytest.raises(ValueError, match="has 2147483648 bytes"):
+        check_chunks(file, 1_000_000)

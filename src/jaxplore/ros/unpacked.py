@@ -21,6 +21,8 @@ CHUNK_LIMIT = 2**28
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK = 0x06
 _ROS1_MAGIC, _ROS1_CHUNK = b"#ROSBAG V2.0\n", b"\x05"
+_MOST_NAME = 64
+"""Longest name of a compression [bytes]."""
 _PART = 2**20
 """Number of bytes that are unpacked at a time."""
 
@@ -56,6 +58,8 @@ def _open_after(magic: bytes, path: Path, kind: str) -> Iterator[tuple[BinaryIO,
 
 def _check_chunk(file: BinaryIO, limit: int) -> None:
     declared, name_size = struct.unpack("<16xQ4xI", file.read(32))
+    if name_size > _MOST_NAME:
+        raise ValueError(f"the name of how a chunk is packed has {name_size} bytes")
     name = file.read(name_size)
     (size,) = struct.unpack("<Q", file.read(8))
     if max(declared, size) > limit:

@@ -26,11 +26,13 @@ DOCK_SPEED = 0.1
 
 
 class BatteryState(NamedTuple):
-    """The true battery: the energy that is left [J], its dock [m], whether it is being charged."""
+    """The true battery: the energy that is left [J], its dock [m], whether it is being charged, and
+    the part of the last changes that rounding has left out of the energy [J]."""
 
     energy: Scalar
     dock: Position
     is_docked: Flag
+    rest: Scalar
 
 
 class TrueBattery(PartTruth):
@@ -94,7 +96,7 @@ class TrueBattery(PartTruth):
     def init(self, pose: Pose) -> BatteryState:
         """Return the charge at the start."""
         known = self.init_part(self.battery, pose)
-        return BatteryState(known.energy, known.dock, jnp.array(False))
+        return BatteryState(known.energy, known.dock, jnp.array(False), jnp.zeros(()))
 
     def measure(
         self,
@@ -128,8 +130,13 @@ class TrueBattery(PartTruth):
         # A robot that has come to rest at its dock is charged until it leaves it.
         is_docked = is_near & (own.is_docked | (way <= DOCK_SPEED * period))
         charged = jnp.where(is_docked, self.power * period, 0.0)
-        energy = jnp.clip(own.energy - used + charged, 0.0, self.battery.capacity)
-        return BatteryState(energy, own.dock, is_docked)
+        # Single precision has no room for the energy of a period beside that of a large battery, so
+        # what is rounded off is kept for the next one (Kahan, CACM 8(1), 1965).
+        change = charged - used + own.rest
+        energy = own.energy + change
+        left = jnp.clip(energy, 0.0, self.battery.capacity)
+        rest = jnp.where(left == energy, change - (energy - own.energy), 0.0)
+        return BatteryState(left, own.dock, is_docked, rest)
 
     def is_over(self, own: BatteryState) -> Flag:
         """Return whether the battery is empty."""
