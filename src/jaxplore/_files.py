@@ -56,9 +56,6 @@ def open_regular(path: Path) -> BinaryIO | None:
     """Open a regular file for reading, or return None if there is none at a path.
 
     Pipes, devices, sockets and folders are none: reading from them may wait for ever or not end.
-
-    Raises:
-        OSError: the file is there and cannot be opened.
     """
     # The open file is examined, not the name, which may stand for another file by then. Without
     # waiting, because opening a pipe waits for someone who writes to it.
@@ -83,9 +80,6 @@ def read_bytes(path: Path, what: str, limit: int, subject: str | None = None) ->
     """Read a regular file of at most `limit` bytes.
 
     Messages call its content `what`, and the file `subject`, or by its path without one.
-
-    Raises:
-        ValueError: a file that is missing, no regular file, cannot be read or is too large.
     """
     where = printable_path(path) if subject is None else subject
     with open_limited(path, what, limit, subject) as file:
@@ -100,11 +94,7 @@ def read_bytes(path: Path, what: str, limit: int, subject: str | None = None) ->
 
 
 def open_limited(path: Path, what: str, limit: int, subject: str | None = None) -> BinaryIO:
-    """Open a regular file of limited size for reading; the arguments are those of `read_bytes`.
-
-    Raises:
-        ValueError: a file that is missing, no regular file, cannot be opened or is too large.
-    """
+    """Open a file of at most `limit` bytes; arguments and refusals are those of `read_bytes`."""
     where = printable_path(path) if subject is None else subject
     try:
         file = open_regular(path)
@@ -119,11 +109,7 @@ def open_limited(path: Path, what: str, limit: int, subject: str | None = None) 
 
 
 def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[object, object]:
-    """Read a YAML file of at most `limit` bytes that holds a mapping; `of` names it in messages.
-
-    Raises:
-        ValueError: a file that is missing, too large, too intricate or no YAML mapping.
-    """
+    """Read a YAML file of at most `limit` bytes that holds a mapping; `of` names it in messages."""
     where = printable_path(path)
     data = read_bytes(path, f"a {of}'s YAML", limit)
     try:
@@ -148,12 +134,7 @@ def yaml_beside(path: Path) -> Path | None:
 
 
 def parse_yaml(text: bytes | str, limit: int = YAML_LIMIT) -> Any:
-    """Return what a YAML text says: mappings, lists, numbers and texts.
-
-    Raises:
-        ValueError: a text of more than `limit` bytes or characters, no YAML, or too intricate; the
-            message is one line without the text.
-    """
+    """Return what a YAML text says; a `ValueError` of one line, without the text, refuses it."""
     _check_length(text, limit)
     readable = _readable_text(text)
     try:
@@ -185,12 +166,7 @@ def _readable_text(text: bytes | str) -> bytes | str:
 
 
 def parse_json(text: bytes | str, limit: int = JSON_LIMIT) -> Any:
-    """Return what a JSON text says.
-
-    Raises:
-        ValueError: a text of more than `limit` bytes or characters, no JSON, or nested too deep;
-            the message is one line without the text.
-    """
+    """Return what a JSON text says; a `ValueError` of one line, without the text, refuses it."""
     _check_length(text, limit)
     try:
         value = json.loads(text)

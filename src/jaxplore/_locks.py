@@ -145,9 +145,6 @@ def open_hidden_file(target: Path) -> Iterator[Path]:
     """Yield an empty hidden file beside a target; it is removed at the end unless it was moved.
 
     The folder must exist. Write the file in place: a new file of that name would not be locked.
-
-    Raises:
-        OSError: the folder cannot be written to.
     """
     # Once for each folder: in one with thousands of files each look takes its time.
     if target.parent not in _swept:

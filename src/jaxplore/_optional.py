@@ -5,11 +5,7 @@ from typing import Any
 
 
 def import_optional(name: str, extra: str) -> Any:
-    """Import an optional package or one of its modules; jaxplore's extra `extra` installs it.
-
-    Raises:
-        ValueError: the package is not installed; the message names the command to install it.
-    """
+    """Import an optional package or module; without it a `ValueError` says how to get `extra`."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

@@ -112,11 +112,7 @@ def _processor() -> str:
 
 
 def _make_private(folder: Path) -> None:
-    """Make a folder that only its owner can enter, or check that an existing one can be trusted.
-
-    Raises:
-        ValueError: it belongs to another user, or others can write to it.
-    """
+    """Make a folder that only its owner can enter, or check that an existing one can be trusted."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     # Windows has neither user ids nor these modes: there is nothing to check.
     if not hasattr(os, "geteuid"):

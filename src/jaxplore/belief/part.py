@@ -210,12 +210,7 @@ def as_parts(
     ground: Ground | None,
     dimensions: int = 2,
 ) -> tuple[Part, ...]:
-    """Return the parts of a robot as a tuple.
-
-    Raises:
-        ValueError: something that is no part, a part of other `dimensions`, two of one name, one
-            without another that it needs, or one that sensors or ground do not allow.
-    """
+    """Return parts as a tuple, each checked against the sensors, the ground and the other parts."""
     if not isinstance(parts, (list, tuple)):
         _kinds.instance("parts", parts, list, tuple)
     names: list[str] = []

@@ -15,11 +15,7 @@ NARROW_SHARE = 0.4
 
 
 def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """Return one sensor or several as a tuple.
-
-    Raises:
-        ValueError: no sensor, or something that is not a sensor.
-    """
+    """Return one sensor or several as a tuple."""
     if isinstance(sensors, Sensor):
         return (sensors,)
     if not isinstance(sensors, (list, tuple)):
@@ -31,11 +27,7 @@ def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
 
 
 def as_scans(scans: Scan | Sequence[Scan], number: int) -> Sequence[Scan]:
-    """Return one scan, or one for each of `number` sensors, as a sequence.
-
-    Raises:
-        ValueError: something that is not a scan, or another number of them.
-    """
+    """Return one scan, or one for each of `number` sensors, as a sequence."""
     scans = (scans,) if isinstance(scans, Scan) else scans
     if not isinstance(scans, (list, tuple)):
         _kinds.instance("scans", scans, Scan, hint="or a list of one for each sensor")

@@ -192,9 +192,6 @@ def check_extents(
     `extents` (x, y, z) and the side of a voxel are in metres, and the volume has `whole` voxels
     along z, y and x. The window moves by blocks of `block` voxels on a side, when the robot is at
     the distance `keep` [m] from a face inside the volume.
-
-    Raises:
-        ValueError: a window that is too small.
     """
     # The robot is at most half a block from the middle, and moves on before the next fields.
     least = 2.0 * (keep + (0.5 * block + 1.0) * side + 0.5)

@@ -25,9 +25,6 @@ def close_loops(
 
     The belief is the same object if no scan has moved. `prior` is the map that the robot knew in
     advance, and `start` the pose at the start.
-
-    Raises:
-        ValueError: an argument of another class; GTSAM is not installed.
     """
     known = closer.find_loops(localiser, known, perception.sensors)
     settled = closer.optimise_poses(localiser, known, perception.sensors)

@@ -31,9 +31,6 @@ def evaluate_samples(
     `initial` is the state (nx,) that all rollouts start from, or (nx, K) one for each. The model
     step `dt` is in s. `mesh` are the devices that share the samples; None for one device. `steps`
     is the number of steps to simulate, see `rollout_costs`; all when absent.
-
-    Raises:
-        ValueError: no belief for a cost that reads one.
     """
     everything = (dynamics, cost, dt, belief, sampled.state.applied, sampled.outcomes, steps)
     # `shard_map` takes arrays only: everything else is closed over.

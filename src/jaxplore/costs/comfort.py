@@ -82,9 +82,6 @@ def acceleration(
     """Compute the acceleration of a robot's position along its heading and to its left [m/s^2].
 
     The control is taken as constant. Of an `Augmented` model the physical part is used.
-
-    Raises:
-        ValueError: a model that is not given by its time derivative.
     """
     if isinstance(dynamics, Augmented):
         state, control = dynamics.split_state(state)[0], dynamics.split_control(control)[0]

@@ -73,11 +73,7 @@ class Motion(NamedTuple):
 
 
 def round_radius(turning_radius: float, spacing: float) -> float:
-    """Return a turning radius [m] in node spacings, rounded up to a multiple of `RADIUS_STEP`.
-
-    Raises:
-        ValueError: a radius of more than `LARGEST_RADIUS` spacings.
-    """
+    """Return a turning radius [m] in node spacings, rounded up to a multiple of `RADIUS_STEP`."""
     rounded = RADIUS_STEP * math.ceil(turning_radius / spacing / RADIUS_STEP - 1e-6)
     if not 0.0 < rounded <= LARGEST_RADIUS:
         raise ValueError(

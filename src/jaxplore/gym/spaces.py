@@ -73,9 +73,6 @@ def draw(
     """Draw the key and the scenario of an episode, unless they are given.
 
     `seed` is the argument of `jax.random.key`; the run equals that of `simulate` with this key.
-
-    Raises:
-        ValueError: a scenario number out of range.
     """
     # JAX takes seeds of 32 bits, unless 64-bit numbers are turned on.
     number = int(generator.integers(2**32)) if seed is None else seed % 2**32

@@ -17,11 +17,7 @@ def over_poses(
     position: Float[Array, "*N 2"],
     heading: Float[Array, "*N"],
 ) -> Float[Array, "*N"]:
-    """Evaluate a function of position [m] and heading [rad] at one pose or at each of N poses.
-
-    Raises:
-        ValueError: shapes other than (2,) and (), or (N, 2) and (N,).
-    """
+    """Evaluate a function of position [m] and heading [rad] at one pose or at each of N poses."""
     if position.ndim not in (1, 2) or position.shape != (*heading.shape, 2):
         raise ValueError(
             f"position has shape {position.shape}, heading {heading.shape}; accepted: (2,) and () "

@@ -106,9 +106,6 @@ def frame_around(
     """Return the frame and the shape of a map along the axes that holds all points of scans.
 
     The scans are arrays (N, B). The map is `margin` [m] wider than the points on each side.
-
-    Raises:
-        ValueError: a map of more than 40 million cells.
     """
     low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
     for pose, ranges, is_return in zip(

@@ -29,9 +29,6 @@ def pad_cells(
     """Return an array (H, W, ...) with rows and columns of a value added at its end.
 
     `shape` has the rows and columns after padding; messages call it `name`.
-
-    Raises:
-        ValueError: something else than two whole numbers; fewer rows or columns than the array has.
     """
     shape = _checks.rows_and_columns(name, shape)
     more = [wanted - given for wanted, given in zip(shape, values.shape[:2], strict=True)]

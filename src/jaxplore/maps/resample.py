@@ -29,10 +29,6 @@ def resample(
     So no wall is lost and no unknown cell becomes free. The last row and column may reach beyond
     the old map; the part beyond is ignored. The result has `ceil(H resolution / new_resolution)`
     rows, likewise columns, and the dtype of the input.
-
-    Raises:
-        ValueError: a map that is empty or not two-dimensional, a resolution that is not positive,
-            or more than 64 million new cells.
     """
     resolution = _checks.number("resolution", resolution, above=0.0)
     new_resolution = _checks.number("new_resolution", new_resolution, above=0.0)

@@ -126,9 +126,6 @@ def path_of_points(points: np.ndarray) -> Path:
 
     The points are joined by straight lines, which are resampled and smoothed by a Gaussian along
     the path. Both ends stay where they are.
-
-    Raises:
-        ValueError: points that are not finite, a path that is too short or too long.
     """
     given = np.asarray(points, np.float64).reshape(-1, 2)
     if not np.isfinite(given).all():

@@ -64,10 +64,6 @@ def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterato
 
     After an exception, Ctrl-C included, the hidden folder is removed and `path` is unchanged. With
     `overwrite`, a former run is replaced once the new one is complete.
-
-    Raises:
-        ValueError: as in `reserve_folder`; any `OSError` while the folder is filled, such as a
-            full disk.
     """
     target = _target(path)
     with ExitStack() as stack:
@@ -98,9 +94,6 @@ def lock_folder(folder: Path, what: str) -> Iterator[None]:
 
     It is made with its parents. If it is empty at the end, it is removed with those. `what` is its
     name in messages.
-
-    Raises:
-        ValueError: another process holds it, or it cannot be written.
     """
     with ExitStack() as stack:
         with in_one_line(what, folder):
@@ -131,9 +124,6 @@ def hidden_folder(target: Path, what: str) -> Iterator[Path]:
     """Yield the path of a hidden folder beside `target`, which other processes cannot write then.
 
     It does not exist yet, and is removed at the end. `what` is the name of the folder in messages.
-
-    Raises:
-        ValueError: another process writes the folder.
     """
     with ExitStack() as stack:
         try:
@@ -214,9 +204,6 @@ def whole_file(target: Path, what: str) -> Iterator[Path]:
     After an exception, Ctrl-C included, `target` is unchanged. The file is locked, so it must be
     written in place. Its folder must exist. `what` names in messages the object that the file
     belongs to.
-
-    Raises:
-        ValueError: it cannot be written.
     """
     # The file is made in the folder of its target, because only there the rename is one operation.
     with in_one_line(what, target), open_hidden_file(target) as temporary:

@@ -38,10 +38,6 @@ def pack_recording(recording: Recording) -> dict[str, np.ndarray]:
 
     `structure` is JSON: the class, and its fields with their numbers and texts. Arrays are apart.
     Frames are stacked.
-
-    Raises:
-        ValueError: a field that holds something else than arrays, numbers, texts and tuples of
-            them; frames that differ in shape.
     """
     arrays: dict[str, np.ndarray] = {}
     fields = {field.name: getattr(recording, field.name) for field in dataclasses.fields(recording)}
@@ -94,10 +90,6 @@ def load_run[T](
 
     `build` is given the recording, its metrics and all arrays of the state file. The metrics are
     computed from the recording again.
-
-    Raises:
-        ValueError: no run folder, one without a state file, a file that is malformed or too large,
-            a recording of a class that is not imported.
     """
     folder = Path(path)
     report = read_bytes(folder / MARK, "a run folder with this", METRICS_LIMIT)
@@ -137,10 +129,6 @@ def unpack_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
     """Return the recording that `pack_recording` stored.
 
     Its class, and that of its frames, are looked up among those that are imported.
-
-    Raises:
-        ValueError: an unknown class; fields that are not those of the class. Content that is
-            malformed may raise a `KeyError` or a `TypeError`.
     """
     structure = parse_json(arrays["structure"].tobytes(), METRICS_LIMIT)
     kind = _find_class(Recording, structure["kind"])

@@ -44,10 +44,6 @@ def save_run(
     SIGHUP. The settings are those that led to the run, plain values only. A `film` of None has the
     default speed and size. `overwrite` replaces a former run. `on_progress` is called with the
     share that is done, from 0 to 1. `further` are more arrays for `state.npz`.
-
-    Raises:
-        ValueError: settings that YAML cannot hold; another format of figures than png, pdf and svg;
-            a folder that exists or cannot be written.
     """
     kinds = figure_formats(figures)
     # Both documents are made first, so that a value they cannot hold stops before any file exists.

@@ -98,9 +98,6 @@ def tail_mean(values: np.ndarray, level: float = 0.0) -> np.ndarray:
     share counts by the part that lies in it. Level 0 gives the mean of all. There is at least one
     value; an infinite one in the share gives infinity.
 
-    Raises:
-        ValueError: a level outside [0, 1).
-
     Source: Rockafellar and Uryasev, "Optimization of conditional value-at-risk", 2000, eq. 4.
     """
     if not 0.0 <= level < 1.0:
@@ -129,9 +126,6 @@ def paired_difference(
 
     The interval is that of the paired percentile bootstrap; the same `seed` gives the same
     interval. For a single run, or equal differences, both ends are the mean.
-
-    Raises:
-        ValueError: no values, or not as many in both.
 
     Source: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13.
     """

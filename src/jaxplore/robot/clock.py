@@ -31,11 +31,7 @@ def when_due[*T](
 
 
 def whole_steps(name: str, rate: float, control_rate: float) -> Array:
-    """Return the number of control periods in a period of a slower rate; both rates are in Hz.
-
-    Raises:
-        ValueError: a rate that is not a whole fraction of the control rate.
-    """
+    """Return the number of control periods in a period of a slower rate; both rates are in Hz."""
     checked = _checks.number(name, rate, above=0.0, at_most=control_rate)
     ratio = control_rate / checked
     most = np.iinfo(np.int32).max

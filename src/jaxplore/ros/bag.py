@@ -73,12 +73,7 @@ class BagMessage(NamedTuple):
 
 
 def bag_topics(path: str | os.PathLike[str]) -> dict[str, BagTopic]:
-    """Return the topics of a bag by name.
-
-    Raises:
-        ValueError: a bag that is missing, damaged, compressed as a whole, too large or without
-            messages; a missing `rosbags`.
-    """
+    """Return the topics of a bag by name."""
     with _open_bag(path) as reader:
         return _topics(path, reader)
 
@@ -102,12 +97,7 @@ def choose_topic(topics: Mapping[str, BagTopic], kind: str, name: str | None = N
 
 
 def read_bag(path: str | os.PathLike[str], topics: Collection[str]) -> Iterator[BagMessage]:
-    """Read the messages of some topics, in the order of their times.
-
-    Raises:
-        ValueError: as of `bag_topics`; a topic that the bag lacks, one of a kind that is not read,
-            too many messages. While messages are read also one that is damaged or too large.
-    """
+    """Read the messages of some topics, in the order of their times."""
     if isinstance(topics, str) or not topics:
         raise ValueError(f"topics is {short_repr(topics)}; accepted: names of topics in a list")
     known, wanted = bag_topics(path), frozenset(topics)

@@ -89,21 +89,12 @@ _PARAMETERS = {
 
 
 def of_critic(name: str, task: str) -> str:
-    """Return why a critic has no counterpart.
-
-    Args:
-        name: name of the critic.
-        task: kind of run, `exploration` or `path`.
-    """
+    """Return why a critic has no counterpart."""
     known = {**_CRITICS, **(_CRITICS_ALONG_A_PATH if task == "path" else {})}
     return known.get(name, "the critic is not known")
 
 
 def of_parameter(name: str) -> str:
-    """Return why a parameter has no counterpart.
-
-    Args:
-        name: dotted name within the controller, such as `CostCritic.critical_cost`.
-    """
+    """Return why a parameter, such as `CostCritic.critical_cost`, has no counterpart."""
     first, _, last = name.partition(".")
     return _PARAMETERS.get(first) or _PARAMETERS.get(last) or "the parameter is not known"

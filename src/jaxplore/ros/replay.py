@@ -55,9 +55,6 @@ def replay_topics(
 
     Without a name the scan is the only topic of its kind, and the pose is the only odometry, or
     else the only pose, or else the transforms.
-
-    Raises:
-        ValueError: a bag that cannot be read, without such topics, or with several.
     """
     topics = bag_topics(path)
     scan_topic = choose_topic(topics, "LaserScan", scan)

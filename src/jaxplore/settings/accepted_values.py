@@ -18,12 +18,7 @@ _PLAIN = {
 
 
 def describe_accepted(section: type[BaseModel], name: str) -> str:
-    """Return the accepted values of a setting in words, such as `number in (0, 1]`.
-
-    Args:
-        section: class of settings.
-        name: a field of it.
-    """
+    """Return the accepted values of a setting in words, such as `number in (0, 1]`."""
     return _words(_schema(section)[name])
 
 

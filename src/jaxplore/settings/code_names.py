@@ -61,12 +61,7 @@ class WordsOrOwn:
 
 
 def check_trusted(entries: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
-    """Raise a `ValueError` if entries of a settings file name code.
-
-    Args:
-        entries: the entries.
-        path: path of the file.
-    """
+    """Raise a `ValueError` if entries of a settings file name code."""
     for name in SETTINGS:
         value: Any = entries
         for part in name.split("."):

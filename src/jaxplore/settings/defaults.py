@@ -26,27 +26,14 @@ _UNIT = re.compile(r"\[(?!\d+, \d+\])([^\]]+)\]")
 
 
 class DefaultDifference(NamedTuple):
-    """A default of a setting that differs from its owner's.
-
-    Args:
-        value: the default of the setting.
-        reason: reason for the difference.
-    """
+    """A default of a setting that differs from its owner's, and the reason."""
 
     value: Any
     reason: str
 
 
 def parameter_default(owner: Owner, name: str) -> Any:
-    """Return the default of an owner's parameter.
-
-    Args:
-        owner: a function or a class.
-        name: name of the parameter.
-
-    Raises:
-        ValueError: the owner has no such parameter, or it has no default.
-    """
+    """Return the default of a parameter of a function or a class; it must have one."""
     parameters = inspect.signature(owner).parameters
     known = [each.name for each in parameters.values() if each.default is not each.empty]
     if name not in known:

@@ -103,11 +103,7 @@ class LocalisationSettings(Section):
     tolerance: Annotated[Positive, CLOSING] = setting(LoopCloser, "tolerance")
 
     def odometry_of(self, model: str) -> Literal["wheels", "imu"]:
-        """Return which odometry a robot has.
-
-        Args:
-            model: setting `robot.model`.
-        """
+        """Return which odometry a robot has."""
         if self.odometry is not None:
             return self.odometry
         return "imu" if model == "quadrotor" else "wheels"

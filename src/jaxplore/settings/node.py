@@ -153,9 +153,6 @@ def part_node(entries: Mapping[str, Any]) -> tuple[dict[str, Any], NodeSettings]
     """Return the settings entries of a run, and the checked section `node` beside them.
 
     One settings file describes a run in simulation and a drive of the robot.
-
-    Raises:
-        ValueError: an unknown name or a value that is not accepted in the section.
     """
     run = dict(entries)
     node = {"node": run.pop("node")} if "node" in run else {}

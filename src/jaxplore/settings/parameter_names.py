@@ -17,16 +17,8 @@ PER_METRE = "progress_weight"
 
 
 def controller_parameter(owner: str | None, name: str) -> str | None:
-    """Return the path of the controller parameter that a setting sets, where the name tells.
-
-    See `jaxplore.get_parameters`. The path may be abbreviated, see `jaxplore.find_parameter`.
-
-    Args:
-        owner: qualified name of the owner of the setting.
-        name: name of the setting within its section.
-
-    Returns:
-        The path; none if the setting sets no parameter, several, or one with another name.
+    """Return the path of the controller parameter that a setting of an owner sets, see
+    `jaxplore.find_parameter`; None if it sets none, several, or one with another name.
     """
     if name == "temperature" and owner in {
         each.__qualname__ for each in (explorer, mpcc, Flight, ground_portfolio)

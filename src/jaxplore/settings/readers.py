@@ -64,12 +64,7 @@ def models(*names: str) -> Readers:
 
 
 def find_readers(root: type[BaseModel], name: str) -> Readers:
-    """Return the runs that read a setting.
-
-    Args:
-        root: class of the settings of a kind of run.
-        name: dotted name of the setting.
-    """
+    """Return the runs that read a setting, by its dotted name, among those of a kind."""
     said = [each for each in _declared(root, name, "") if each is not EVERY]
     if not said:
         return EVERY

@@ -29,15 +29,7 @@ TOPIC_RULE = f"a topic such as scan or /scan: {_RULE}"
 
 
 def check_namespace(name: str, value: str) -> str:
-    """Return a namespace without its leading slash.
-
-    Args:
-        name: name of the argument.
-        value: the namespace, with or without a leading slash.
-
-    Raises:
-        ValueError: what ROS does not accept, such as an empty part, and the root alone.
-    """
+    """Return a namespace without its leading slash."""
     if len(value) > MOST_CHARACTERS or not _NAMESPACE.fullmatch(value):
         raise ValueError(f"{name} is {short_repr(value)}; accepted: {NAMESPACE_RULE}")
     return value.removeprefix("/")

@@ -239,11 +239,7 @@ def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> 
 
 
 def check_section[Checked: BaseModel](kind: type[Checked], entries: dict[str, Any]) -> Checked:
-    """Check settings entries against a section.
-
-    Raises:
-        ValueError: an unknown name or a value that is not accepted; one line that names it.
-    """
+    """Check settings entries against a section."""
     try:
         return kind.model_validate(entries)
     except ValidationError as error:

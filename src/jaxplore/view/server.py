@@ -23,9 +23,6 @@ def open_server(host: str = HOST, port: int = 0, *, label: str) -> "viser.ViserS
 
     Pages of other web sites, which run in the same browser, are turned away. No page can ask the
     server to publish itself through viser's relay.
-
-    Raises:
-        ValueError: viser is not installed; an address or a port that cannot be used.
     """
     package = import_optional("viser", "view")
     number = _checks.whole_number("port", port, at_least=0)

@@ -67,10 +67,6 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False, is_luma: bool = Fals
     the format. With `alpha_is_shade` alpha counts as a fourth colour, as in nav2 until 2025. With
     `is_luma` the brightness is the luma of ITU-R BT.709 in 8 bits and alpha is no colour, as in
     nav2 since.
-
-    Raises:
-        ValueError: a file that is missing, malformed, of another format or too large; one line
-            that names it.
     """
     return _open_image(path, lambda image: _levels(image, alpha_is_shade, is_luma))
 

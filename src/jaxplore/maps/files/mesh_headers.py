@@ -40,9 +40,6 @@ def check_header(file: BinaryIO, kind: str) -> None:
     """Check the numbers in the header of a regular file, and go back to the file's beginning.
 
     `kind` is the ending of its name, without the dot. Kinds without a check here all pass.
-
-    Raises:
-        ValueError: a header that promises more than the file holds.
     """
     header, size = file.read(_LONGEST), file.seek(0, 2)
     file.seek(0)

@@ -52,10 +52,6 @@ def read_geometry(file: BinaryIO, kind: str, memory: float) -> Geometry:
     """Read a mesh or a point cloud from a regular file at its beginning; `kind` is in `KINDS`.
 
     The reader may take `memory` [bytes]; at least `LEAST` is given.
-
-    Raises:
-        ValueError: a file that its library cannot read, or not within memory and time; a missing
-            library.
     """
     most = int(max(memory, LEAST))
     # Each thread of a numerical library takes address space.

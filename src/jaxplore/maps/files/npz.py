@@ -41,10 +41,6 @@ def read_arrays(
 
     With `names` only those of them that are there are read; None reads all. `check` is called
     before memory is allocated for the size that an array declares.
-
-    Raises:
-        ValueError: what `check` refuses, and arrays that are not plain. A file that is malformed
-            may raise any of `MALFORMED_NPZ`.
     """
     with _open(data) as archive:
         return {
@@ -62,9 +58,6 @@ def read_array(
 
     `check` is called, with `name`, before memory is allocated for the size that the array declares.
     `most` is the greatest size of the file [bytes], where it is known.
-
-    Raises:
-        ValueError: what `check` refuses, a damaged file, an array that is not plain.
     """
     try:
         # Later versions are for names of fields; a header of theirs may have 4 GB.

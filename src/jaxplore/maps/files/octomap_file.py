@@ -52,9 +52,6 @@ class OctoMap:
         resolution: side of a voxel [m].
         shape: voxels (D, H, W) of the box.
         origin: corner (x, y, z) of the box [m].
-
-    Raises:
-        ValueError: a file of another kind, a damaged tree, one that needs more memory.
     """
 
     def __init__(self, data: bytes, memory: float = math.inf) -> None:
@@ -168,9 +165,6 @@ def _levels(nodes: _Binary | _Full) -> Iterator[tuple[NDArray[np.int64], NDArray
     Depth first, the first child of a node follows it, and each other one follows the last node
     below its elder sister. With c(i) children below node i, that is the first j >= i at which
     sum_{k <= j} (c(k) - 1) is less than before i.
-
-    Raises:
-        ValueError: a tree that does not end in the file, or has too many levels.
     """
     sums = np.cumsum(nodes.counts().astype(np.int32) - 1, dtype=np.int64)
     number = int(np.argmax(sums < 0)) + 1 if len(sums) else 0

@@ -160,10 +160,6 @@ def write_map(
     `path` must end in .yaml or .yml. The probability (H, W) in [0, 1] has row 0 at the origin. The
     origin is the pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
 
-    Raises:
-        ValueError: an argument that is not accepted.
-        OSError: the files cannot be written.
-
     Source: nav2 (ROS 2), `nav2_map_server/src/map_io.cpp`, `tryWriteMapToFile`. The thresholds of
     `scale` are 0 and 1, so that no probability is clipped.
     """

@@ -50,9 +50,6 @@ def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]]
     Types, numbers of axes and sizes are checked against those that `pack` writes, and the layers
     must have one shape. `build` gets the arrays by name and has to check their values. The path is
     for messages.
-
-    Raises:
-        ValueError: content that is malformed or too large, and what `build` refuses.
     """
     try:
         return build(_arrays(data))

@@ -45,10 +45,6 @@ def normalise_weights(
 
     Weights in a mapping go by member and objective, and absent ones are 0. Members whose weights
     are an array are named "1", "2" ... without `names`. Messages call the weights `argument`.
-
-    Raises:
-        ValueError: weights of the wrong shape, negative ones, a row of zeros, an unknown objective,
-            names that are repeated or given twice.
     """
     if isinstance(weights, Mapping):
         if names is not None:

@@ -167,12 +167,7 @@ class StrategicMPPI(Controller):
 def check_strategy(
     mppi: MPPI, reference: object, follower: Follower | None, period: ArrayLike
 ) -> Scalar:
-    """Return the strategy period [s], after the checks of the parts of a `StrategicMPPI`.
-
-    Raises:
-        ValueError: a strategy period that is not a whole number of control periods; a biased
-            proposal without reference and follower, or the other way round.
-    """
+    """Return the strategy period [s], after the checks of the parts of a `StrategicMPPI`."""
     is_biased = isinstance(mppi.proposal, BiasedProposal)
     if is_biased != (follower is not None) or (is_biased and reference is None):
         raise ValueError(

@@ -21,11 +21,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 
 def figure_formats(figures: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the formats of figures, given as a sequence or as a text with commas.
-
-    Raises:
-        ValueError: another format than png, pdf and svg, or none.
-    """
+    """Return the formats of figures, given as a sequence or as a text with commas."""
     names = figures.split(",") if isinstance(figures, str) else figures
     if not isinstance(names, Sequence):
         names = ()

@@ -116,10 +116,6 @@ def check_film(path: str | PathLike[str], options: FilmOptions, *, name: str = "
     """Check before a long run whether a film can be written; return its path.
 
     `name` is that of the path in messages.
-
-    Raises:
-        ValueError: a file that is neither a GIF nor an MP4, or without a folder; a rate that a GIF
-            cannot have; a missing `imageio-ffmpeg` for an MP4.
     """
     file = Path(path)
     suffix = file.suffix.lower()
@@ -159,9 +155,6 @@ def write_film[F](
     The suffix of the path, .gif or .mp4, says which kind. A GIF loops, and pauses on the last
     frame. All pictures that `draw` returns have the same size. `palette` computes the palette of a
     GIF from some of them. `on_progress` is called with the share that is done, 0 to 1.
-
-    Raises:
-        ValueError: what `check_film` rejects; a file that cannot be written.
     """
     file = check_film(path, options)
     seconds = options.frame_seconds(file.suffix.lower())

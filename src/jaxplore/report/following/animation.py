@@ -109,9 +109,6 @@ def path_frame_image(
 
     It shows the whole course, or, if the robot would be too small, a view that follows the robot.
     `side` is the longer side of the picture of the course at scale 1 [pixels].
-
-    Raises:
-        ValueError: a side below 320 pixels.
     """
     return _draw(_make_canvas(recording, side, scale), frame)
 
