@@ -100,7 +100,7 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
 
 
 def split_index(name: str) -> tuple[str, int | None]:
-    """Split `path[i]` into the path of a parameter and the index of an element, None without one."""
+    """Split `path[i]` into the path of a parameter and the index of an element; None without."""
     path, bracket, rest = name.partition("[")
     if not bracket:
         return name, None

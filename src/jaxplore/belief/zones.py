@@ -36,7 +36,7 @@ def entropy_proxy(probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
 
 @_kinds.check_arguments
 def is_unknown(grid: OccupancyGrid, threshold: ArrayLike = UNKNOWN) -> GridMask:
-    """Return the mask (H, W) of the cells with `4 p (1 - p) > threshold`; see `unknown_fraction`."""
+    """Return the mask (H, W) of cells with `4 p (1 - p) > threshold`; see `unknown_fraction`."""
     bound = _checks.scalar("threshold", threshold, at_least=0.0, below=1.0)
     return entropy_proxy(grid.probability) > bound
 

@@ -20,9 +20,9 @@ from jaxplore.control.disturbance import StateNoise as StateNoise
 from jaxplore.control.disturbance import UncertainObstacles as UncertainObstacles
 from jaxplore.control.feedback import FeedbackMPPI as FeedbackMPPI
 from jaxplore.control.feedback import FeedbackState as FeedbackState
+from jaxplore.control.feedback import step_with_gains as step_with_gains
 from jaxplore.control.fleet_controller import FleetBelief as FleetBelief
 from jaxplore.control.fleet_controller import FleetController as FleetController
-from jaxplore.control.gains import step_with_gains as step_with_gains
 from jaxplore.control.guard import MotionGuard as MotionGuard
 from jaxplore.control.interpolation import CubicSpline as CubicSpline
 from jaxplore.control.interpolation import Interpolation as Interpolation

@@ -35,7 +35,7 @@ class TargetRule(eqx.Module):
 
 
 def ask(rule: TargetRule, method: str, frontiers: Frontiers, **options: Key) -> Array:
-    """Return what a rule, perhaps of the user's own, says of the nodes: `candidates`, or `scores`."""
+    """Return what a rule, perhaps a user's own, says of the nodes: `candidates` or `scores`."""
     name, shape = f"rule {type(rule).__name__}", frontiers.distance.shape
     try:
         found = getattr(rule, method)(frontiers, **options)
