@@ -37,8 +37,9 @@ from jaxplore.control.latency import predict_state as predict_state
 from jaxplore.control.mixtures import BiasedProposal as BiasedProposal
 from jaxplore.control.mixtures import InjectedProposal as InjectedProposal
 from jaxplore.control.mppi import MPPI as MPPI
-from jaxplore.control.mppi_state import MPPIState as MPPIState
-from jaxplore.control.mppi_state import SampledControls as SampledControls
+from jaxplore.control.mppi import MPPIState as MPPIState
+from jaxplore.control.mppi import SampledControls as SampledControls
+from jaxplore.control.mppi import SavitzkyGolay as SavitzkyGolay
 from jaxplore.control.noise import AntitheticNoise as AntitheticNoise
 from jaxplore.control.noise import LogNormalNoise as LogNormalNoise
 from jaxplore.control.noise import Noise as Noise
@@ -63,7 +64,6 @@ from jaxplore.control.rollout import rollout_costs as rollout_costs
 from jaxplore.control.rollout import rollout_objectives as rollout_objectives
 from jaxplore.control.smooth import Smooth as Smooth
 from jaxplore.control.smooth import SmoothNominal as SmoothNominal
-from jaxplore.control.smoothing import SavitzkyGolay as SavitzkyGolay
 from jaxplore.control.trajectory import Trajectory as Trajectory
 from jaxplore.control.trajectory import rollout as rollout
 from jaxplore.control.validation import StopCheck as StopCheck

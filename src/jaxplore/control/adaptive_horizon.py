@@ -11,11 +11,8 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.belief.belief import part
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.evaluation import evaluate_samples
-from jaxplore.control.inspection import roll_out_plan
 from jaxplore.control.model_checks import check_call
-from jaxplore.control.mppi import MPPI
-from jaxplore.control.mppi_state import MPPIState, SampledControls
+from jaxplore.control.mppi import MPPI, MPPIState, SampledControls, evaluate_samples, roll_out_plan
 from jaxplore.dynamics.base import Dynamics, State
 from jaxplore.information.field import InformationField
 

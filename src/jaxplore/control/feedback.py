@@ -5,15 +5,13 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.model_checks import check_call
-from jaxplore.control.mppi import MPPI
-from jaxplore.control.mppi_state import MPPIState
+from jaxplore.control.mppi import MPPI, MPPIState
 from jaxplore.control.parameterisations import Samples
 from jaxplore.control.trajectory import rollout
 

@@ -1,32 +1,316 @@
 """Model predictive path integral control."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.sharding import Mesh
+import numpy as np
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as Spec
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_OUTCOMES, MOST_SAMPLES, MOST_STEPS_AHEAD
-from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector, Vector
+from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateVector, Vector
 from jaxplore._xla import cut
-from jaxplore.control import devices
 from jaxplore.control.base import Info, ModelBasedController, SampledPlan
 from jaxplore.control.disturbance import Disturbance
-from jaxplore.control.evaluation import evaluate_samples
-from jaxplore.control.inspection import roll_out_plan
-from jaxplore.control.model_checks import check_call, check_parts
-from jaxplore.control.mppi_state import MPPIState, SampledControls, shift_state
-from jaxplore.control.parameterisations import ControlSpace, Direct, Parameterisation, Samples
+from jaxplore.control.model_checks import check_call, check_parts, without_belief
+from jaxplore.control.parameterisations import (
+    ControlSpace,
+    Direct,
+    Parameterisation,
+    Samples,
+    Sequence,
+    shift_sequence,
+)
 from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
 from jaxplore.control.risk import MeanVariance, Risk
-from jaxplore.control.rollout import Outcomes
-from jaxplore.control.smoothing import SavitzkyGolay
+from jaxplore.control.rollout import Outcomes, rollout_costs
+from jaxplore.control.trajectory import Trajectory, rollout
 from jaxplore.control.weighting import Softmax, Weighting, effective_sample_size
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics
+
+
+class SavitzkyGolay(eqx.Module):
+    """Savitzky-Golay filter: the middle of a polynomial fitted to a window around each control.
+
+    The window reaches back over applied controls, so that the first planned control has a full
+    window and continues the applied ones smoothly. Only the applied controls are smoothed, not the
+    nominal of the next step: otherwise smoothing would accumulate over the steps. All sizes are
+    static.
+
+    Source: Savitzky and Golay, Analytical Chemistry 1964; used by nav2's MPPI controller.
+
+    Args:
+        window: number of controls in a window, odd.
+        order: order of the polynomial, below the window.
+
+    Raises:
+        ValueError: an even window, an order that is not below the window.
+    """
+
+    window: int = eqx.field(static=True)
+    order: int = eqx.field(static=True)
+
+    def __init__(self, window: int = 9, order: int = 2) -> None:
+        self.window = _checks.positive_int("window", window)
+        self.order = _checks.whole_number("order", order, at_least=0)
+        if self.window % 2 == 0:
+            raise ValueError(f"window is {window}; accepted: an odd number of controls")
+        if self.order >= self.window:
+            raise ValueError(f"order is {order}; accepted: less than the window, {window}")
+
+    @property
+    def history(self) -> int:
+        """Number of applied controls that the window reaches back."""
+        return self.window // 2
+
+    def check(self, horizon: int) -> None:
+        """Raise a `ValueError` if the window is longer than the applied and planned controls."""
+        if self.window > horizon + self.history:
+            raise ValueError(
+                f"window is {self.window}; accepted: at most {2 * horizon - 1} for a horizon of "
+                f"{horizon}"
+            )
+
+    def smooth(self, past: Float[Array, "H nu"], planned: Sequence) -> Sequence:
+        """Return the smoothed planned controls (T, nu).
+
+        Args:
+            past: applied controls (H, nu), oldest first.
+            planned: planned controls (T, nu).
+        """
+        import scipy.signal  # slow to import, and few need it
+
+        # The filter is linear: filter the identity at compile time, then multiply by the matrix.
+        length = past.shape[0] + planned.shape[0]
+        unit = scipy.signal.savgol_filter(np.eye(length), self.window, self.order, axis=0)
+        matrix = jnp.asarray(unit[past.shape[0] :], jnp.float32)
+        return matrix @ jnp.concatenate([past, planned])
+
+
+class MPPIState(NamedTuple):
+    """State of MPPI between steps.
+
+    Args:
+        nominal: last solution, as the parameterisation stores it; with `Direct` it is the control
+            sequence (T, nu) itself.
+        proposal: memory of the proposal; empty unless the proposal adapts.
+        applied: (nu,) control of the last step.
+        past: (H, nu) controls applied before that one, one per model step, newest last. H is the
+            number of past controls that the smoothing filter reads.
+        phase: fraction of a model step by which the nominal lags behind, if shifts are not
+            interpolated.
+    """
+
+    nominal: Any
+    proposal: Any
+    applied: ControlVector
+    past: Float[Array, "H nu"]
+    phase: Scalar
+
+
+class SampledControls(NamedTuple):
+    """Control sequences that were sampled and have not been evaluated yet.
+
+    Args:
+        state: state of the controller after the shift.
+        context: nominal and parameterisation that the proposal sampled around.
+        samples: (P, nu, K) parameters as they took effect, that is after clipping.
+        controls: (T, nu, K) control sequences of these parameters.
+        outcomes: draws of the disturbance; None without one.
+    """
+
+    state: MPPIState
+    context: SamplingContext
+    samples: Samples
+    controls: Float[Array, "T nu K"]
+    outcomes: Outcomes | None
+
+
+def shift_state(
+    state: MPPIState,
+    steps: Scalar,
+    space: ControlSpace,
+    parameterisation: Parameterisation,
+    proposal: Proposal,
+    *,
+    is_interpolated: bool,
+) -> MPPIState:
+    """Move the nominal and the memories on by a number of model steps, not necessarily whole.
+
+    With `is_interpolated` a part of a model step interpolates the nominal. Without it, the nominal
+    is shifted by whole model steps when they are due.
+    """
+    phase = state.phase
+    if not is_interpolated:
+        # In float32, 20 periods of 0.05 s add up to slightly less than a step of 1 s.
+        due = phase + steps
+        steps = jnp.floor(due + 1e-3)
+        phase = due - steps
+    # Proposals adapt per row of parameters, of which there may be fewer than model steps.
+    rows = steps * (parameterisation.num_parameters(space.horizon) / space.horizon)
+    planned = parameterisation.controls(state.nominal, space)
+    # The first planned control has been applied; where it differs (a portfolio applies the fused
+    # control), the smoothing filter must see what was applied.
+    timeline = jnp.concatenate([state.past, state.applied[None], planned[1:]])
+    return MPPIState(
+        nominal=parameterisation.shift(state.nominal, steps, space),
+        proposal=proposal.shift(state.proposal, rows),
+        applied=state.applied,
+        past=shift_sequence(timeline, steps, space.default)[: state.past.shape[0]],
+        phase=phase,
+    )
+
+
+def auto_mesh(mesh: Mesh) -> Mesh:
+    """Return a mesh of the same devices whose axes the compiler may shard automatically.
+
+    The axes of a user's mesh may be of the explicit kind.
+    """
+    return Mesh(mesh.devices, mesh.axis_names)
+
+
+def shard_samples(samples: Samples, mesh: Mesh) -> Samples:
+    """Return the samples, sharded over the devices along their last axis."""
+    sharding = NamedSharding(mesh, _spec(None, None, mesh.axis_names))
+    shared: Samples = jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
+        samples, sharding
+    )
+    return shared
+
+
+def map_over_devices(
+    costs: Callable[[Array, Array, Any], Array],
+    mesh: Mesh,
+    initial: Float[Array, "*nx_K"],
+    controls: Float[Array, "T nu K"],
+    arrays: Any,
+) -> Float[Array, " K"]:
+    """Evaluate the costs of samples, each on the device that holds it.
+
+    The devices exchange nothing until the weights are computed. The initial state is (nx,) of all
+    samples, or (nx, K) of each. The pytree `arrays`, the third argument of `costs`, is replicated
+    on all devices.
+    """
+    samples = mesh.axis_names
+    over_devices = jax.shard_map(
+        costs,
+        mesh=mesh,
+        in_specs=(
+            _spec() if initial.ndim == 1 else _spec(None, samples),
+            _spec(None, None, samples),
+            _spec(),
+        ),
+        out_specs=_spec(samples),
+        # The loop over time starts with a state that is equal on all devices and then varies, which
+        # the check would refuse.
+        check_vma=False,
+    )
+    total: Array = over_devices(initial, controls, arrays)
+    return total
+
+
+def check_divisible(num_samples: int, mesh: Mesh) -> None:
+    """Raise a `ValueError` if the samples cannot be divided evenly among the devices."""
+    if num_samples % mesh.size:
+        raise ValueError(
+            f"num_samples is {num_samples}; accepted: a multiple of the {mesh.size} "
+            "devices of the mesh"
+        )
+
+
+def _spec(*axes: Any) -> Spec:
+    return Spec(*axes)  # type: ignore[no-untyped-call]
+
+
+def evaluate_samples(
+    dynamics: Dynamics,
+    cost: Cost,
+    sampled: SampledControls,
+    initial: StateVector | Float[Array, "nx K"],
+    dt: Scalar,
+    belief: Any,
+    mesh: Mesh | None,
+    steps: Count | None = None,
+) -> Float[Array, " K"]:
+    """Roll out sampled control sequences and return their costs (K,).
+
+    `initial` is the state (nx,) that all rollouts start from, or (nx, K) one for each. The model
+    step `dt` is in s. `mesh` are the devices that share the samples; None for one device. `steps`
+    is the number of steps to simulate, see `rollout_costs`; all when absent.
+    """
+    everything = (dynamics, cost, dt, belief, sampled.state.applied, sampled.outcomes, steps)
+    # `shard_map` takes arrays only: everything else is closed over.
+    arrays, static = eqx.partition(everything, eqx.is_array)
+
+    def costs(start: Array, controls: Array, arrays: Any) -> Array:
+        model, terms, step, knowledge, applied, outcomes, number = eqx.combine(arrays, static)
+        return rollout_costs(
+            model,
+            terms,
+            start,
+            controls,
+            step,
+            knowledge,
+            applied=applied,
+            outcomes=outcomes,
+            steps=number,
+        )
+
+    try:
+        if mesh is None:
+            return costs(initial, sampled.controls, arrays)
+        return map_over_devices(costs, mesh, initial, sampled.controls, arrays)
+    except (AttributeError, TypeError) as error:
+        # A cost that a user wrote asks None for what it knows.
+        name = without_belief(dynamics, cost, sampled.controls.shape[0])
+        if belief is not None or name is None or "NoneType" not in str(error):
+            raise
+        raise ValueError(
+            f"belief is None, and {name} reads it ({error}); accepted: step(state, "
+            "observation, belief, key=key)"
+        ) from error
+
+
+def roll_out_plan(
+    dynamics: Dynamics,
+    cost: Cost,
+    sampled: SampledControls,
+    info: Info,
+    observation: StateVector,
+    dt: Scalar,
+    belief: Any,
+    num_trajectories: int,
+) -> SampledPlan:
+    """Roll out the plan of a step, its best sample and some of the others, undisturbed.
+
+    All start at `observation` (nx,), with the model step `dt` [s]. The others are at most
+    `num_trajectories` samples.
+    """
+    chosen = choose_samples(sampled.controls.shape[-1], num_trajectories)
+
+    def simulate(controls: Array) -> Trajectory:
+        return rollout(
+            dynamics, cost, observation, controls, dt, belief, applied=sampled.state.applied
+        )
+
+    sequences = jnp.moveaxis(sampled.controls, -1, 0)
+    best = sequences[jnp.argmin(info.costs)]
+    shown = jnp.concatenate([info.controls[None], best[None], sequences[chosen]])
+    return SampledPlan.from_trajectories(jax.vmap(simulate)(shown), info.weights[chosen])
+
+
+def choose_samples(num_samples: int, most: int) -> np.ndarray:
+    """Return the numbers of the samples that are shown, at most `most`, at even distances.
+
+    A mixture orders its samples by component, so the first few would show one component only.
+    """
+    return np.linspace(0, num_samples - 1, min(most, num_samples)).round().astype(int)
 
 
 class MPPI(ModelBasedController):
@@ -151,7 +435,7 @@ class MPPI(ModelBasedController):
         self.disturbance = disturbance
         self.risk = MeanVariance() if risk is None else risk
         self.interpolate_shift = _kinds.flag("interpolate_shift", interpolate_shift)
-        self.mesh = None if mesh is None else devices.auto_mesh(mesh)
+        self.mesh = None if mesh is None else auto_mesh(mesh)
         num_controls = dynamics.control_size
         self.proposal.check(self._num_parameters, self.horizon, num_controls, self.num_samples)
         if smoothing is not None:
@@ -159,7 +443,7 @@ class MPPI(ModelBasedController):
         if disturbance is not None:
             disturbance.check(dynamics, self.num_outcomes)
         if mesh is not None:
-            devices.check_divisible(self.num_samples, mesh)
+            check_divisible(self.num_samples, mesh)
         check_parts(dynamics, cost, self.horizon)
 
     def init(self, controls: Float[Array, "T nu"] | None = None) -> MPPIState:
@@ -272,7 +556,7 @@ class MPPI(ModelBasedController):
         )
         if self.mesh is not None:
             # Sharded before decoding, so that each device decodes the samples that it rolls out.
-            samples = devices.shard_samples(samples, self.mesh)
+            samples = shard_samples(samples, self.mesh)
         controls, samples = self.parameterisation.decode(state.nominal, samples, context.space)
         # The samples are used by the rollouts and by the mean. Unless they are materialised here,
         # XLA fuses the noise generator into both and draws it twice.

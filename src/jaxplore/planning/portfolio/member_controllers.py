@@ -12,8 +12,7 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Info
-from jaxplore.control.mppi import MPPI
-from jaxplore.control.mppi_state import MPPIState
+from jaxplore.control.mppi import MPPI, MPPIState
 from jaxplore.control.proposals import GaussianProposal
 from jaxplore.control.rollout import rollout_objectives
 from jaxplore.control.weighting import Softmax

@@ -13,10 +13,8 @@ from jaxtyping import Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
-from jaxplore.control.inspection import choose_samples
 from jaxplore.control.model_checks import check_call
-from jaxplore.control.mppi import MPPI
-from jaxplore.control.mppi_state import MPPIState
+from jaxplore.control.mppi import MPPI, MPPIState, choose_samples
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
 from jaxplore.planning.portfolio._members import (

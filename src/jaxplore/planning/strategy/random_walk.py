@@ -11,8 +11,7 @@ from jaxplore._types import ArrayLike, ControlVector, Count, Key, Position, Scal
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.model_checks import check_call
-from jaxplore.control.mppi import MPPI
-from jaxplore.control.mppi_state import MPPIState
+from jaxplore.control.mppi import MPPI, MPPIState
 from jaxplore.costs.base import SumCost
 from jaxplore.costs.tracking import GoalCost
 

@@ -13,8 +13,7 @@ from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateV
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.control.model_checks import check_call
-from jaxplore.control.mppi import MPPI
-from jaxplore.control.mppi_state import MPPIState
+from jaxplore.control.mppi import MPPI, MPPIState
 from jaxplore.planning.strategy.follower import Follower
 
 
