@@ -6,7 +6,8 @@ import pytest
 import scipy.stats
 
 from jaxplore import HaltonNoise
-from jaxplore.control import AntitheticNoise, SobolNoise, quasi_random_noise
+from jaxplore.control import AntitheticNoise, SobolNoise
+from jaxplore.control import noise as noises
 
 BITS = 24
 SOURCES = [
@@ -30,9 +31,7 @@ def draw_points(noise, shape, key):
 @pytest.fixture
 def as_points(monkeypatch):
     """Make draws whole numbers below 2^24 instead of their normal quantiles."""
-    monkeypatch.setattr(
-        quasi_random_noise, "_normal", lambda points: jnp.asarray(points, jnp.float32)
-    )
+    monkeypatch.setattr(noises, "_normal", lambda points: jnp.asarray(points, jnp.float32))
 
     def points(noise, shape, seed: int = 0) -> np.ndarray:
         drawn = np.asarray(draw_points(noise, shape, jax.random.key(seed)), np.int64)
@@ -130,7 +129,7 @@ def test_quantiles_are_those_of_the_normal_distribution() -> None:
     edges = np.concatenate([np.arange(5000), 2**23 + np.arange(-5000, 5000)])
     inside = np.random.default_rng(0).integers(0, 2**BITS, 20_000)
     points = np.concatenate([edges, 2**BITS - 1 - np.arange(5000), inside]).astype(np.uint32)
-    values = np.asarray(quasi_random_noise._normal(jnp.asarray(points)[None]), np.float64)[0]
+    values = np.asarray(noises._normal(jnp.asarray(points)[None]), np.float64)[0]
     assert np.isfinite(values).all()
     probability = (points + 0.5) / 2**BITS
     expected = scipy.stats.norm.ppf(probability)
@@ -147,7 +146,7 @@ def test_quantiles_are_those_of_the_normal_distribution() -> None:
 @sources
 def test_rows_are_uncorrelated(noise, sequence) -> None:
     sequence = jnp.asarray([[1.0, -2.0], [3.0, 0.5]])
-    np.testing.assert_array_equal(noise.precision(sequence), sequence)
+    np.testing.assert_array_equal(noises.precision(sequence), sequence)
 
 
 def test_there_are_only_so_many_directions() -> None:

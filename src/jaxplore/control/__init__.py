@@ -12,7 +12,6 @@ from jaxplore.control.base import Info as Info
 from jaxplore.control.base import Members as Members
 from jaxplore.control.base import ModelBasedController as ModelBasedController
 from jaxplore.control.base import SampledPlan as SampledPlan
-from jaxplore.control.coloured_noise import ColouredNoise as ColouredNoise
 from jaxplore.control.disturbance import ControlNoise as ControlNoise
 from jaxplore.control.disturbance import Disturbance as Disturbance
 from jaxplore.control.disturbance import ModelEnsemble as ModelEnsemble
@@ -41,9 +40,12 @@ from jaxplore.control.mppi import MPPIState as MPPIState
 from jaxplore.control.mppi import SampledControls as SampledControls
 from jaxplore.control.mppi import SavitzkyGolay as SavitzkyGolay
 from jaxplore.control.noise import AntitheticNoise as AntitheticNoise
+from jaxplore.control.noise import ColouredNoise as ColouredNoise
+from jaxplore.control.noise import HaltonNoise as HaltonNoise
 from jaxplore.control.noise import LogNormalNoise as LogNormalNoise
 from jaxplore.control.noise import Noise as Noise
 from jaxplore.control.noise import NoiseBank as NoiseBank
+from jaxplore.control.noise import SobolNoise as SobolNoise
 from jaxplore.control.noise import WhiteNoise as WhiteNoise
 from jaxplore.control.parameterisations import ControlSpace as ControlSpace
 from jaxplore.control.parameterisations import Direct as Direct
@@ -51,8 +53,6 @@ from jaxplore.control.parameterisations import Parameterisation as Parameterisat
 from jaxplore.control.proposals import GaussianProposal as GaussianProposal
 from jaxplore.control.proposals import Proposal as Proposal
 from jaxplore.control.proposals import SamplingContext as SamplingContext
-from jaxplore.control.quasi_random_noise import HaltonNoise as HaltonNoise
-from jaxplore.control.quasi_random_noise import SobolNoise as SobolNoise
 from jaxplore.control.risk import ConditionalValueAtRisk as ConditionalValueAtRisk
 from jaxplore.control.risk import Entropic as Entropic
 from jaxplore.control.risk import MeanVariance as MeanVariance

@@ -10,12 +10,17 @@ from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_SAMPLES, MOST_STEPS_AHEAD
 from jaxplore._types import ArrayLike, Scalar, Vector
 from jaxplore._xla import compute
-from jaxplore.control.coloured_noise import ColouredNoise
 from jaxplore.control.knots import Knots
-from jaxplore.control.noise import LEAST_STORED, Noise, NoiseBank, WhiteNoise
+from jaxplore.control.noise import (
+    LEAST_STORED,
+    ColouredNoise,
+    Noise,
+    NoiseBank,
+    SobolNoise,
+    WhiteNoise,
+)
 from jaxplore.control.parameterisations import Direct, Parameterisation
 from jaxplore.control.proposals import GaussianProposal
-from jaxplore.control.quasi_random_noise import SobolNoise
 from jaxplore.control.smooth import Smooth
 from jaxplore.control.weighting import AdaptiveSoftmax, Elite, Softmax, Weighting
 
