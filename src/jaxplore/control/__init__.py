@@ -50,6 +50,8 @@ from jaxplore.control.noise import WhiteNoise as WhiteNoise
 from jaxplore.control.parameterisations import ControlSpace as ControlSpace
 from jaxplore.control.parameterisations import Direct as Direct
 from jaxplore.control.parameterisations import Parameterisation as Parameterisation
+from jaxplore.control.parameterisations import Smooth as Smooth
+from jaxplore.control.parameterisations import SmoothNominal as SmoothNominal
 from jaxplore.control.proposals import GaussianProposal as GaussianProposal
 from jaxplore.control.proposals import Proposal as Proposal
 from jaxplore.control.proposals import SamplingContext as SamplingContext
@@ -62,8 +64,6 @@ from jaxplore.control.risk import WorstCase as WorstCase
 from jaxplore.control.rollout import Outcomes as Outcomes
 from jaxplore.control.rollout import rollout_costs as rollout_costs
 from jaxplore.control.rollout import rollout_objectives as rollout_objectives
-from jaxplore.control.smooth import Smooth as Smooth
-from jaxplore.control.smooth import SmoothNominal as SmoothNominal
 from jaxplore.control.trajectory import Trajectory as Trajectory
 from jaxplore.control.trajectory import rollout as rollout
 from jaxplore.control.validation import StopCheck as StopCheck

@@ -19,9 +19,8 @@ from jaxplore.control.noise import (
     SobolNoise,
     WhiteNoise,
 )
-from jaxplore.control.parameterisations import Direct, Parameterisation
+from jaxplore.control.parameterisations import Direct, Parameterisation, Smooth
 from jaxplore.control.proposals import GaussianProposal
-from jaxplore.control.smooth import Smooth
 from jaxplore.control.weighting import AdaptiveSoftmax, Elite, Softmax, Weighting
 
 PARAMETERISATIONS = ("direct", "smooth", "knots")
