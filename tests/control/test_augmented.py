@@ -8,10 +8,9 @@ import pytest
 
 import jaxplore as jx
 from jaxplore import GaussianProposal, Knots, Smooth
-from jaxplore.control.adaptation import CovarianceAdaptation
 from jaxplore.control.augmented import AugmentedProposal
 from jaxplore.control.parameterisations import Direct, Parameterisation
-from jaxplore.control.proposals import SamplingContext
+from jaxplore.control.proposals import CovarianceAdaptation, SamplingContext
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.path_parameter import PathParameter
 

@@ -1,6 +1,5 @@
 """The MPPI family."""
 
-from jaxplore.control.adaptation import CovarianceAdaptation as CovarianceAdaptation
 from jaxplore.control.adaptive_horizon import AdaptiveHorizon as AdaptiveHorizon
 from jaxplore.control.adaptive_horizon import HorizonByClearance as HorizonByClearance
 from jaxplore.control.adaptive_horizon import HorizonByInformation as HorizonByInformation
@@ -52,6 +51,7 @@ from jaxplore.control.parameterisations import Direct as Direct
 from jaxplore.control.parameterisations import Parameterisation as Parameterisation
 from jaxplore.control.parameterisations import Smooth as Smooth
 from jaxplore.control.parameterisations import SmoothNominal as SmoothNominal
+from jaxplore.control.proposals import CovarianceAdaptation as CovarianceAdaptation
 from jaxplore.control.proposals import GaussianProposal as GaussianProposal
 from jaxplore.control.proposals import Proposal as Proposal
 from jaxplore.control.proposals import SamplingContext as SamplingContext
