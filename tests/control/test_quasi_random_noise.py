@@ -146,7 +146,7 @@ def test_quantiles_are_those_of_the_normal_distribution() -> None:
 @sources
 def test_rows_are_uncorrelated(noise, sequence) -> None:
     sequence = jnp.asarray([[1.0, -2.0], [3.0, 0.5]])
-    np.testing.assert_array_equal(noises.precision(sequence), sequence)
+    np.testing.assert_array_equal(noise.precision(sequence), sequence)
 
 
 def test_there_are_only_so_many_directions() -> None:
