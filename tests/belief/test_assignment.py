@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from jaxplore.belief.assignment import FORBIDDEN, UNASSIGNED, assign
+from jaxplore.belief.tracks import FORBIDDEN, UNASSIGNED, assign
 
 compiled = jax.jit(assign)
 
