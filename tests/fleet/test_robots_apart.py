@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxplore import DifferentialDrive
-from jaxplore.belief.plans import FRESH, Plans
+from jaxplore.belief.obstacles import FRESH, Plans
 from jaxplore.dynamics import Formation
 from jaxplore.simulation.fleet.contact import predict_positions, stop_touching
 

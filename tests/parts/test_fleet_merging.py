@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from jaxplore import Lidar, OccupancyGrid
 from jaxplore.belief import Obstacles, Part
-from jaxplore.belief.plans import Plans
+from jaxplore.belief.obstacles import Plans
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.parts import AnomalyTest, IdlenessMap, Recognition
 from jaxplore.parts.anomalies.reports import APPEARED, GONE, MAX_REPORTS

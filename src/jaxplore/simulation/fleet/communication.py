@@ -11,8 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._equal_objects import Alike
 from jaxplore._types import Count, GridMask, Scalar, StateVector
-from jaxplore.belief.obstacles import Obstacles
-from jaxplore.belief.plans import Plans
+from jaxplore.belief.obstacles import Obstacles, Plans
 from jaxplore.control.base import Info
 from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation
