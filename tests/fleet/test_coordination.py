@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from jaxplore import OccupancyGrid
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.claims import claim_cost, trust_in
-from jaxplore.robot.knowledge import Knowledge
-from jaxplore.robot.robot import RobotState
+from jaxplore.robot.robot import Knowledge, RobotState
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.assignment import (
     ELSEWHERE,

@@ -17,8 +17,7 @@ from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.robot.knowledge import Knowledge
-from jaxplore.robot.robot import RobotState
+from jaxplore.robot.robot import Knowledge, RobotState
 from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.exploration.judge import Judged
 from jaxplore.simulation.exploration.state import ExplorationState

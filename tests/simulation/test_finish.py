@@ -11,7 +11,7 @@ from jaxplore.belief.guidance import GuidanceField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.robot.knowledge import Knowledge
+from jaxplore.robot.robot import Knowledge
 from jaxplore.simulation.exploration.finish import (
     TARGETS,
     choose_target,

@@ -9,11 +9,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore._types import Flag, Pose, Scalar
+from jaxplore._types import Flag, Pose, Position, Scalar
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.exploration_field import leads_to_information
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.tracks import beam_ends
+from jaxplore.belief.zones import UNKNOWN, entropy_proxy
 from jaxplore.control.guard import GuardState, ScanPoints
 from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump, scan_misfit
 from jaxplore.control.stops import BLIND, GOOD, MISFIT
@@ -21,13 +23,49 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose, transform_points
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.robot.clock import when_due
-from jaxplore.robot.knowledge import Knowledge
 from jaxplore.robot.localisation import Localisation, Motions, PoseKnowledge
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 
 FITTING = -1.0
 """Time for which scans have not fitted the map, while they do fit [s]."""
+
+
+class Knowledge(NamedTuple):
+    """What is left to learn.
+
+    Args:
+        idle: time since a place was last worth a visit [s].
+        walls: share of the cells around known free space that are known to be walls; the others are
+            unknown. It is counted for the target `walls` alone.
+    """
+
+    idle: Scalar
+    walls: Scalar
+
+    @classmethod
+    def nothing(cls) -> "Knowledge":
+        """Return the knowledge before the first scan."""
+        return cls(jnp.zeros(()), jnp.zeros(()))
+
+    def update(self, belief: Belief, position: Position, period: Scalar) -> "Knowledge":
+        """Return the knowledge a period [s] later; the robot takes itself to be at `position`."""
+        is_worth = leads_to_information(belief.guidance(position))
+        if belief.is_sent is not None:
+            # It goes on afterwards.
+            is_worth = is_worth | belief.is_sent
+        return self._replace(idle=jnp.where(is_worth, 0.0, self.idle + period))
+
+    def count_walls(self, grid: OccupancyGrid) -> "Knowledge":
+        """Return the knowledge with the share of walls of a map."""
+        free = jnp.pad(grid.is_free, 1)
+        beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
+        walls, unknown = (
+            jnp.sum(beside & each, dtype=jnp.int32)
+            for each in (grid.is_occupied, entropy_proxy(grid.probability) > UNKNOWN)
+        )
+        share = walls.astype(jnp.float32) / jnp.maximum(walls + unknown, 1).astype(jnp.float32)
+        return self._replace(walls=share)
 
 
 def scan_points(

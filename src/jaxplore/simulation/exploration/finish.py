@@ -11,7 +11,7 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.robot.knowledge import Knowledge
+from jaxplore.robot.robot import Knowledge
 
 NEVER = "never"
 TARGETS = ("coverage", "information", "walls", NEVER)

@@ -15,9 +15,8 @@ from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.exploration.data import MapProgress
-from jaxplore.robot.knowledge import Knowledge
 from jaxplore.robot.localisation import PoseKnowledge
-from jaxplore.robot.robot import FITTING, Measurement, RobotState, Sight
+from jaxplore.robot.robot import FITTING, Knowledge, Measurement, RobotState, Sight
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.judge import Judged, TrueTrack
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
