@@ -12,10 +12,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore.belief.descent import descent, extend
-from jaxplore.belief.geodesic import _relax, geodesic
 from jaxplore.belief.guidance import descent_field as to_go
 from jaxplore.belief.perception_checks import narrowest, safe_stride
-from jaxplore.belief.roadmap import NARROW_PRICE, TurnsOnTheSpot
+from jaxplore.belief.roadmap import NARROW_PRICE, TurnsOnTheSpot, _relax, geodesic
 from jaxplore.belief.tiles import Outline, Tiling, relax_by_tiles, relax_everywhere
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.frame import GridFrame

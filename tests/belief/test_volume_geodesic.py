@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from jaxplore.belief.geodesic import geodesic
+from jaxplore.belief.roadmap import geodesic
 from jaxplore.belief.volume_geodesic import volume_geodesic
 
 SHAPE = (4, 7, 9)
