@@ -4,12 +4,12 @@ import jax
 import numpy as np
 import pytest
 
-from jaxplore.belief import scan_map
 from jaxplore.localisation import LoopCloser
 from jaxplore.onboard import localisation, steps
 from jaxplore.onboard.localisation import MapPoses, compose
 from jaxplore.onboard.odometry import PoseHistory
 from jaxplore.onboard.options import Mode
+from jaxplore.robot import localisation
 from jaxplore.sensing.beams import Scan
 from jaxplore.tasks.exploration.pilot import build_pilot, make_node_settings
 
@@ -54,7 +54,7 @@ def explored(drive_localised):
         if event == COMPILED:
             compiled.append(seconds)
 
-    whole = scan_map.close_loops
+    whole = localisation.close_loops
 
     def revised(*given):
         known, belief = whole(*given)

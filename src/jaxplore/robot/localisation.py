@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Key, Pose, Scalar, StateVector
-from jaxplore.belief import scan_map
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.certainty import CertaintyField
 from jaxplore.belief.perception import Perception
@@ -24,8 +23,57 @@ from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.odometry_model import OdometryModel
 from jaxplore.localisation.thinning import is_nearly_full, thin_scans
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
+
+
+def close_loops(
+    closer: LoopCloser,
+    localiser: Localiser,
+    known: LocaliserState,
+    perception: Perception,
+    belief: Belief,
+    prior: OccupancyGrid,
+    start: Pose,
+) -> tuple[LocaliserState, Belief]:
+    """Close loops, on the host; return the state, and the belief with the map of moved scans.
+
+    The belief is the same object if no scan has moved. `prior` is the map that the robot knew in
+    advance, and `start` the pose at the start.
+    """
+    known = closer.find_loops(localiser, known, perception.sensors)
+    settled = closer.optimise_poses(localiser, known, perception.sensors)
+    if settled is None:
+        return known, belief
+    grid = _map_scans((localiser, perception), settled, prior, start)
+    return settled, _remap(perception, belief, grid, settled.pose)
+
+
+@eqx.filter_jit
+def _map_scans(
+    given: tuple[Localiser, Perception], known: LocaliserState, prior: OccupancyGrid, start: Pose
+) -> OccupancyGrid:
+    """Return the map of all stored scans at their poses."""
+    _, perception = given
+    scans = known.scans
+
+    def add(index: Count, grid: OccupancyGrid) -> OccupancyGrid:
+        pose = scans.poses[index]
+        stored = scans.scan(index, perception.sensors)
+        for sensor, scan in zip(perception.sensors, stored, strict=True):
+            sighting = sensor.sight(grid, scan, pose, perception.ground)
+            grid = update_grid(grid, sighting, perception.sensor_model)
+        return grid
+
+    grid: OccupancyGrid = jax.lax.fori_loop(
+        0, scans.number, add, perception.free_below_robot(prior, start)
+    )
+    return grid
+
+
+@eqx.filter_jit
+def _remap(perception: Perception, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
+    return perception.remap(belief, grid, pose)
 
 
 class PoseKnowledge(NamedTuple):
@@ -248,9 +296,7 @@ class Localisation(eqx.Module):
         known = _localiser_state(place)
         if is_nearly_full(known):
             known = thin_scans(known)
-        known, belief = scan_map.close_loops(
-            self.closer, localiser, known, perception, belief, prior, start
-        )
+        known, belief = close_loops(self.closer, localiser, known, perception, belief, prior, start)
         if place.spreads is None:
             return place._replace(known=known), belief
         return PoseKnowledge(known, self.closer.spreads(localiser, known)), belief
