@@ -14,7 +14,7 @@ from scipy.stats import norm
 import jaxplore as jx
 from jaxplore.geometry.motion import between
 from jaxplore.localisation import LikelihoodField, Odometry, OdometryBias, ParticleFilter, Particles
-from jaxplore.localisation.resampling import effective_sample_size, low_variance_indices
+from jaxplore.localisation.particles import effective_sample_size, low_variance_indices
 
 pytestmark = pytest.mark.long
 
