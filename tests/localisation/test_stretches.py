@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from jaxplore.localisation import stretches
-from jaxplore.localisation.stretches import CELL, TURN_SPACING, Patch, find_patch
+from jaxplore.localisation import stretch_loops
+from jaxplore.localisation.stretch_loops import CELL, TURN_SPACING, Patch, find_patch
 
 # A lane with a niche, a box and a crossing lane: nothing repeats along it.
 LANE = [
@@ -44,10 +44,10 @@ def test_the_scores_are_those_of_every_pose_by_itself() -> None:
     walls = cells_of(place.occupied - guess[:2])
     beside = {(i + a, j + b) for i, j in walls for a in (-1, 0, 1) for b in (-1, 0, 1)}
     free = cells_of(place.free - guess[:2]) - beside
-    reach = stretches.WIDEST_BLUR
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / stretches.BLUR) ** 2)
+    reach = stretch_loops.WIDEST_BLUR
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / stretch_loops.BLUR) ** 2)
     # The filter ends at four standard deviations.
-    weights[np.abs(np.arange(-reach, reach + 1)) > int(4.0 * stretches.BLUR + 0.5)] = 0.0
+    weights[np.abs(np.arange(-reach, reach + 1)) > int(4.0 * stretch_loops.BLUR + 0.5)] = 0.0
 
     def value(cell: tuple[int, int]) -> float:
         near = sum(
@@ -77,7 +77,7 @@ def test_the_scores_are_those_of_every_pose_by_itself() -> None:
     rival = max(
         score
         for (_, right, up), score in scores.items()
-        if CELL * math.hypot(right - best[1], up - best[2]) > stretches.APART
+        if CELL * math.hypot(right - best[1], up - best[2]) > stretch_loops.APART
     )
     assert found.rival == pytest.approx(max(rival, 0.0), abs=1e-4)
     assert found.is_inside == (abs(best[0]) < 2 and max(abs(best[1]), abs(best[2])) < 6)
