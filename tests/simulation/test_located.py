@@ -10,7 +10,7 @@ import jaxplore as jx
 from jaxplore.control.base import Info
 from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation import Localiser, LoopCloser, Odometry
-from jaxplore.localisation.thinning import SPARE, is_nearly_full, thin_scans
+from jaxplore.localisation.localiser import SPARE, is_nearly_full, thin_scans
 from jaxplore.robot.localisation import Localisation, correct_state
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state

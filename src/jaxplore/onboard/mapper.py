@@ -10,8 +10,7 @@ import numpy as np
 from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
-from jaxplore.localisation.localiser import Localiser, LocaliserState
-from jaxplore.localisation.thinning import thin_scans
+from jaxplore.localisation.localiser import Localiser, LocaliserState, thin_scans
 from jaxplore.onboard import steps
 from jaxplore.onboard.localisation import (
     ScanMotions,

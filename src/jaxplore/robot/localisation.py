@@ -19,9 +19,8 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.estimator import PoseEstimator, PoseState
-from jaxplore.localisation.localiser import Localiser, LocaliserState
+from jaxplore.localisation.localiser import Localiser, LocaliserState, is_nearly_full, thin_scans
 from jaxplore.localisation.odometry_model import OdometryModel
-from jaxplore.localisation.thinning import is_nearly_full, thin_scans
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan

@@ -14,8 +14,7 @@ from jaxplore._types import Flag, GridMask, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.geometry.motion import compose
-from jaxplore.localisation.localiser import LocaliserState
-from jaxplore.localisation.thinning import halve
+from jaxplore.localisation.localiser import LocaliserState, halve
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import LocalisationData, MapProgress
 from jaxplore.robot.clock import when_due
