@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
+from jaxplore.geometry.motion import accumulate_motions, motions_between, steps_along
 from jaxplore.localisation import Localiser, Odometry, map_log
 from jaxplore.localisation.log_drawing import Sampling, frame_around, log_sensor
 from jaxplore.localisation.log_mapping import _follow_odometry, _thin_scans

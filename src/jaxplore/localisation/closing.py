@@ -18,10 +18,10 @@ from jaxplore.geometry.motion import (
     Matrix,
     between,
     compose,
+    motions_between,
     rotation,
     transform_points,
 )
-from jaxplore.geometry.trajectory import motions_between
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
 from jaxplore.localisation.pose_graph import Graph, motion_covariances, optimise
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher

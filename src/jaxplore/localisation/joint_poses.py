@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.geometry.trajectory import motions_between
+from jaxplore.geometry.motion import motions_between
 from jaxplore.localisation.pose_graph import (
     HUBER,
     MOST_NODES,

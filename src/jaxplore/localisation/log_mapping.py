@@ -18,8 +18,13 @@ from jaxplore import _checks, _kinds
 from jaxplore._limits import FINEST, LONGEST_RANGE
 from jaxplore._optional import import_optional
 from jaxplore._types import Count, Key
-from jaxplore.geometry.motion import between, compose
-from jaxplore.geometry.trajectory import accumulate_motions, motions_between, steps_along
+from jaxplore.geometry.motion import (
+    accumulate_motions,
+    between,
+    compose,
+    motions_between,
+    steps_along,
+)
 from jaxplore.localisation.closing import LoopCloser, pose_graph, rebuild_surface
 from jaxplore.localisation.joint_poses import JointPoses, Lines, refine_poses
 from jaxplore.localisation.localiser import Localiser, LocaliserState

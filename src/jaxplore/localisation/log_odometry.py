@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from jaxplore._types import Key
-from jaxplore.geometry.trajectory import motions_between, steps_along
+from jaxplore.geometry.motion import motions_between, steps_along
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.sensing.laser_log import LaserLog
 

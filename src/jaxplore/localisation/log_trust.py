@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.geometry.trajectory import motions_between
+from jaxplore.geometry.motion import motions_between
 from jaxplore.localisation.closing import CLEAR
 from jaxplore.sensing.laser_log import LaserLog
 

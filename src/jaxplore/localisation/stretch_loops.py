@@ -12,8 +12,7 @@ from jaxtyping import Array, Bool, Int
 from numpy.typing import NDArray
 
 from jaxplore._types import Count, Pose
-from jaxplore.geometry.motion import Matrix, between, rotation
-from jaxplore.geometry.trajectory import motions_between
+from jaxplore.geometry.motion import Matrix, between, motions_between, rotation
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
 from jaxplore.localisation.pose_graph import Graph, motion_covariances, spread_evenly
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher

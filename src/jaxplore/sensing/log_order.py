@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxplore.geometry.trajectory import accumulate_motions, motions_between
+from jaxplore.geometry.motion import accumulate_motions, motions_between
 from jaxplore.sensing.carmen import KINDS, Floats, LogLines, Reading
 
 LONGEST_STEP = 10.0
