@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from jaxplore.geometry.rays import TOUCH
-from jaxplore.geometry.voxel_rays import walk
+from jaxplore.geometry.rays import TOUCH, walk
 
 MOST = 64
 

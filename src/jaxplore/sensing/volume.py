@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from jaxplore import _checks
 from jaxplore._describe import describe_fields
 from jaxplore._types import ArrayLike, Key, Scalar
-from jaxplore.geometry.voxel_rays import VoxelStep, walk
+from jaxplore.geometry.rays import VoxelStep, walk
 from jaxplore.maps.voxel_grid import OCCUPIED_ABOVE, VoxelGrid, contains, flat_index
 from jaxplore.maps.window import Window
 from jaxplore.sensing.beams import fan_angles
