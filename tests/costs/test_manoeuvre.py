@@ -10,8 +10,15 @@ import pytest
 
 import jaxplore as jx
 from jaxplore.belief.car import car_motion
-from jaxplore.costs._arrival import ROUND, homing_cost
-from jaxplore.costs._manoeuvre import END, END_DISTANCE, END_TURN, REVERSAL, manoeuvre
+from jaxplore.costs._arrival import (
+    END,
+    END_DISTANCE,
+    END_TURN,
+    REVERSAL,
+    ROUND,
+    homing_cost,
+    manoeuvre,
+)
 from jaxplore.geometry.reeds_shepp import lengths
 from jaxplore.maps.frame import GridFrame
 
