@@ -11,7 +11,7 @@ from jax import Array
 from jaxplore._types import Position, Scalar
 from jaxplore.belief.car_roads import CarGuidance
 from jaxplore.belief.guidance import GuidanceField
-from jaxplore.costs._distance import offset
+from jaxplore.costs._contact import offset
 from jaxplore.dynamics.base import State
 from jaxplore.dynamics.goal_check import ARM
 from jaxplore.geometry.angles import sin_cos

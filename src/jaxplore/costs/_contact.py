@@ -1,6 +1,7 @@
 """Positions of the discs that cover a robot, and the penalty for being too close to something."""
 
 import jax.numpy as jnp
+from jax import Array
 
 from jaxplore._types import Scalar
 from jaxplore.dynamics.base import State
@@ -9,6 +10,18 @@ from jaxplore.geometry.footprint import Disc
 
 Lever = tuple[Scalar, ...]
 """Offset from the position of a robot to the centre of a disc, (x, y) [m]; empty for no offset."""
+
+
+def offset(state: State, point: Array) -> tuple[Scalar, ...]:
+    """Compute position minus point, component by component [m].
+
+    The third component of a point in space is compared with `state["z"]`.
+    """
+    # Mapped over K samples, each component is one vector of K, which XLA turns into fast loops.
+    here = [*state.position]
+    if point.shape[0] == 3:
+        here.append(state["z"])
+    return tuple(a - b for a, b in zip(here, point, strict=True))
 
 
 def levers(state: State) -> tuple[Lever, ...]:

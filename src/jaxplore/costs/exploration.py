@@ -13,7 +13,7 @@ from jaxplore.belief.exploration_field import GOAL_DETOUR
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.volume_strategic import VolumeStrategicBelief
 from jaxplore.costs._arrival import homing_cost, with_overrun
-from jaxplore.costs._distance import offset
+from jaxplore.costs._contact import offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.vectors import length, squared_length

@@ -24,8 +24,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.costs import extract
 from jaxplore.costs._arrival import OVERRUN, overrun
-from jaxplore.costs._contact import add_lever, levers
-from jaxplore.costs._distance import offset
+from jaxplore.costs._contact import add_lever, levers, offset
 from jaxplore.costs.base import Cost
 from jaxplore.costs.extract import Extractor
 from jaxplore.dynamics.augmented import Augmented
