@@ -8,8 +8,7 @@ from jaxtyping import Array
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import Belief, part
-from jaxplore.costs._contact import Lever, add_lever, contact, depth, levers
-from jaxplore.costs._many import add_up
+from jaxplore.costs._contact import Lever, add_lever, add_up, contact, depth, levers
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.outlines import nearest

@@ -12,8 +12,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import part
 from jaxplore.belief.obstacles import Obstacles
-from jaxplore.costs._contact import add_lever, contact, depth, levers
-from jaxplore.costs._many import add_up, least
+from jaxplore.costs._contact import add_lever, add_up, contact, depth, least, levers
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.outlines import nearest

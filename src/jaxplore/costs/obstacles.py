@@ -11,8 +11,7 @@ from jaxplore._checks import array
 from jaxplore._types import ArrayLike, ControlVector, Rows, Scalar, Vector
 from jaxplore.belief.belief import Belief, part
 from jaxplore.belief.volume_belief import VolumeBelief
-from jaxplore.costs._contact import Lever, add_lever, contact, levers, offset, penalty
-from jaxplore.costs._many import least
+from jaxplore.costs._contact import Lever, add_lever, contact, least, levers, offset, penalty
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.vectors import length

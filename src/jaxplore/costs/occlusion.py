@@ -9,8 +9,7 @@ import jax.numpy as jnp
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import part
-from jaxplore.costs._contact import add_lever, levers, offset
-from jaxplore.costs._many import least
+from jaxplore.costs._contact import add_lever, least, levers, offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.vectors import length

@@ -23,8 +23,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._checks import array, by_name, names_within
 from jaxplore._types import ArrayLike, ControlVector, Rows, Scalar, Vector
 from jaxplore.costs._arrival import overrun, with_overrun
-from jaxplore.costs._contact import offset
-from jaxplore.costs._many import least
+from jaxplore.costs._contact import least, offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
