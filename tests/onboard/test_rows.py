@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from jaxplore.onboard.rows import Rows
+from jaxplore.onboard.log import Rows
 
 
 def test_rows_are_kept_in_their_order() -> None:

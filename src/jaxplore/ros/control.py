@@ -14,9 +14,9 @@ import numpy as np
 
 from jaxplore._files import parse_json
 from jaxplore.onboard.following import Following
+from jaxplore.onboard.log import Rows
 from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.pilot import Pilot
-from jaxplore.onboard.rows import Rows
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.ros import map_messages, messages
