@@ -8,9 +8,9 @@ import pytest
 
 from jaxplore.onboard.drive_clock import STANDSTILL_SECONDS, Instant
 from jaxplore.onboard.goals import Goal
+from jaxplore.ros.control import LOOKS, Pace
 from jaxplore.ros.goal import MAX_AGE, GoalNode
 from jaxplore.ros.messages import Odometry
-from jaxplore.ros.pace import LOOKS, Pace
 from jaxplore.settings.node import NodeSettings
 
 PERIOD = 0.05
