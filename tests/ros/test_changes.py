@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxplore.onboard.options import Command, Mode
-from jaxplore.ros.changes import MOST_WAITING, Changes
+from jaxplore.ros.control import MOST_WAITING, Changes
 
 REASONS = ("", "the clock jumped by -30.0 s", "the clock stands", "the scan is 0.31 s old")
 

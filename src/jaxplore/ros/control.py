@@ -5,6 +5,7 @@ import dataclasses
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -21,7 +22,6 @@ from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.ros import map_messages, messages
-from jaxplore.ros.changes import Changes, kind_of
 from jaxplore.ros.command_publisher import CommandPublisher
 from jaxplore.ros.drive_publisher import DrivePublisher
 from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
@@ -32,6 +32,8 @@ from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
 from jaxplore.simulation.monitor import Monitor
 
+MOST_WAITING = 64
+"""Number of changes that wait; the oldest goes first."""
 LOOKS = 8
 """Number of looks at a simulated clock in a control period of real time: its rate is not known."""
 NODE = "jaxplore"
@@ -48,6 +50,35 @@ LEAST_SHARE = 0.25
 """Share of the control period that is the least time between two commands."""
 ORDERS = ("start", "pause", "return", "stop")
 """Orders that the node takes."""
+
+
+class Changes:
+    """Keeps the commands whose mode or kind of reason is not that of the command before.
+
+    A reason may last for one control period, and the thread that tells it may be busy for longer:
+    what is only read now and then says nothing of it. Commands come from one thread, and another
+    one takes the changes.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: deque[Command] = deque(maxlen=MOST_WAITING)
+        self._last: tuple[str, str] | None = None
+
+    def add(self, command: Command) -> None:
+        """Keep a command if it is a change."""
+        kind = kind_of(command)
+        if kind != self._last:
+            self._last = kind
+            self._waiting.append(command)
+
+    def take(self) -> list[Command]:
+        """Return the changes since the last call, the oldest first."""
+        return [self._waiting.popleft() for _ in range(len(self._waiting))]
+
+
+def kind_of(command: Command) -> tuple[str, str]:
+    """Return the mode, and what the reason begins with: the rest has numbers that change."""
+    return str(command.mode), command.reason[:12]
 
 
 class Pace:
