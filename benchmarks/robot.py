@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.setting import available_maps
 from benchmarks.tables import Rows
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.ros.packages import import_ros
+from jaxplore.ros.link import import_ros
 from jaxplore.simulation.run import Run
 
 SITES = {"nav2_depot": "nav2_depot/depot.yaml", "levine_lobby": "levine_lobby/levinelobby.yaml"}
