@@ -9,7 +9,7 @@ from jaxplore.onboard import localisation, steps
 from jaxplore.onboard.localisation import MapPoses, compose
 from jaxplore.onboard.odometry import PoseHistory
 from jaxplore.onboard.options import Mode
-from jaxplore.robot import localisation
+from jaxplore.robot import localisation as robot_localisation
 from jaxplore.sensing.beams import Scan
 from jaxplore.tasks.exploration.pilot import build_pilot, make_node_settings
 
@@ -54,7 +54,7 @@ def explored(drive_localised):
         if event == COMPILED:
             compiled.append(seconds)
 
-    whole = localisation.close_loops
+    whole = robot_localisation.close_loops
 
     def revised(*given):
         known, belief = whole(*given)
@@ -62,7 +62,7 @@ def explored(drive_localised):
         return known, belief
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scan_map, "close_loops", revised)
+        patch.setattr(robot_localisation, "close_loops", revised)
         found = []
 
         def change(now, measured):

