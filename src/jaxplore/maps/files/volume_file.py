@@ -17,10 +17,9 @@ from jaxplore._limits import MOST_VOXELS
 from jaxplore._text import error_reason, printable_path
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.mesh_headers import check_header
-from jaxplore.maps.files.mesh_process import KINDS, Geometry, read_geometry
+from jaxplore.maps.files.mesh_process import AXES, KINDS, Geometry, place, read_geometry
 from jaxplore.maps.files.npz import MALFORMED_NPZ, read_array, read_arrays
 from jaxplore.maps.files.octomap_file import OctoMap
-from jaxplore.maps.files.placing import AXES, place
 from jaxplore.maps.files.voxelise import TOLERANCE, find_touched_voxels
 from jaxplore.maps.voxel_grid import VoxelGrid
 
