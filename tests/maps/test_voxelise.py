@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxplore.maps.files.voxelise import TOLERANCE, find_touched_voxels
+from jaxplore.maps.files.volume_file import TOLERANCE, find_touched_voxels
 
 SHAPE = (3, 4, 5)
 SLACK = 3 * TOLERANCE
