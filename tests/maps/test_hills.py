@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxplore.maps.hills import hill_elevation, is_on_map
+from jaxplore.maps.world import hill_elevation, is_on_map
 
 TOP = st.floats(-2.0, 6.0)
 HILLS = st.lists(st.tuples(TOP, TOP, st.floats(-3.0, 3.0), st.floats(0.05, 4.0)), max_size=4)

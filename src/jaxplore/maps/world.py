@@ -12,6 +12,7 @@ import yaml
 from numpy.typing import NDArray
 
 from jaxplore import _files, _kinds, _text
+from jaxplore._types import Rows, Vector
 from jaxplore.maps.files.world_entries import (
     CHECKS,
     MOVER_ENTRIES,
@@ -28,13 +29,13 @@ from jaxplore.maps.files.world_entries import LabelledObject as LabelledObject
 from jaxplore.maps.files.world_entries import MovingObstacle as MovingObstacle
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
-from jaxplore.maps.hills import hill_elevation, is_on_map
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.rasterise import TOLERANCE, cell_at, disc_mask, rectangle_mask, segment_mask
 from jaxplore.maps.resample import CELL_LIMIT, SLIVER
 from jaxplore.maps.shapes import Shapes as Shapes
 from jaxplore.maps.shapes import shape_lists, shapes_under
 
+Values = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 FREE_PROBABILITY = 0.01
 """Probability of a free cell (quadrotor design notes)."""
@@ -44,6 +45,49 @@ UNKNOWN_PROBABILITY = 0.5
 """Prior probability of a cell in a zone."""
 SOLID_PROBABILITY = 0.99
 """Probability of a solid cell (quadrotor design notes)."""
+
+
+def hill_elevation(
+    hills: Rows, shape: tuple[int, int], resolution: float, corner: Vector = (0.0, 0.0)
+) -> Values:
+    """Return the elevation (H, W) at the centre of each cell [m], the sum of hills
+
+        z(d) = height cos^2(pi d / (2 radius))  for d < radius,  0 beyond
+
+    with d the distance from the top of the hill. A hill is smooth and exactly 0 outside its radius.
+    Its greatest slope is `|height| pi / (2 radius)`, half-way down. A negative height is a pit.
+
+    Hills (N, 4) are finite numbers (x, y, height, radius) in the world [m], radius > 0; N may be 0.
+    `corner` is the outer corner (x, y) of cell (0, 0) [m].
+    """
+    elevation = np.zeros(shape)
+    for x, y, height, radius in np.reshape(np.asarray(hills, np.float64), (-1, 4)):
+        gaps = _gaps((x, y), shape, resolution, corner)
+        # Evaluate only the bounding box: hills are small compared with the map.
+        rows, columns = (np.flatnonzero(np.abs(gap) < radius) for gap in gaps)
+        share = np.hypot(gaps[0][rows, None], gaps[1][columns]) / radius
+        rise = np.where(share < 1.0, height * np.cos(np.pi / 2 * share) ** 2, 0.0)
+        elevation[np.ix_(rows, columns)] += rise
+    return elevation
+
+
+def is_on_map(
+    hill: Vector, shape: tuple[int, int], resolution: float, corner: Vector = (0.0, 0.0)
+) -> bool:
+    """Return whether the centre of some cell is within a hill's radius; see `hill_elevation`."""
+    x, y, _, radius = np.asarray(hill, np.float64)
+    nearest = (np.abs(gap).min() for gap in _gaps((x, y), shape, resolution, corner))
+    return bool(np.hypot(*nearest) < radius)
+
+
+def _gaps(
+    top: Vector, shape: tuple[int, int], resolution: float, corner: Vector
+) -> tuple[Values, Values]:
+    """Return the signed distances of rows (H,) and columns (W,) from the top along y and x [m]."""
+    # Subtract the corner first, so that a world far from the origin gets exactly the same hills.
+    x, y = np.asarray(top, np.float64) - np.asarray(corner, np.float64)
+    rows, columns = ((np.arange(size) + 0.5) * resolution for size in shape)
+    return rows - y, columns - x
 
 
 @dataclass(frozen=True)
@@ -220,7 +264,7 @@ class World:
         zones: rectangles (x_min, y_min, x_max, y_max) [m] that are unknown beforehand.
         hidden: obstacles that are not known beforehand.
         hills: hills (x, y, height, radius) [m], whose sum is the elevation; a negative height is a
-            pit. See `jaxplore.maps.hills.hill_elevation`.
+            pit. See `jaxplore.maps.world.hill_elevation`.
         targets: points (x, y) [m] that the robot has to see.
         objects: objects other than the targets, each of a class, for a detector.
         movers: moving obstacles, discs on closed paths; they are in neither of the two maps.
