@@ -26,7 +26,7 @@ from jaxplore import (
 from jaxplore.control import rollout, rollout_objectives
 from jaxplore.costs.heading_for import RegionCost
 from jaxplore.planning import SafeFusion, WeightedVote, diversity
-from jaxplore.planning.portfolio.normalisation import FLOOR
+from jaxplore.planning.portfolio.member_controllers import FLOOR
 
 pytestmark = pytest.mark.long
 
