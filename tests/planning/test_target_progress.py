@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.planning.strategy.target_progress import (
+from jaxplore.planning.strategy.target_controller import (
     LEAST,
     MEMORY,
     PATIENCE,

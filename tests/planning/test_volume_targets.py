@@ -12,7 +12,7 @@ import jaxplore as jx
 from jaxplore import planning
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_lattice import NODE
-from jaxplore.planning.strategy.target_progress import PATIENCE, RADIUS
+from jaxplore.planning.strategy.target_controller import PATIENCE, RADIUS
 from jaxplore.planning.strategy.target_rules import NearestCluster, NearestFrontier
 from jaxplore.simulation.loop import run_chunk
 

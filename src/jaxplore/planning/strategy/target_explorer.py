@@ -17,8 +17,11 @@ from jaxplore.belief.roadmap import Locomotion, Roadmap, TurnsOnTheSpot
 from jaxplore.control.base import ModelBasedController
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning.strategy.frontiers import Frontiers, find_frontiers
-from jaxplore.planning.strategy.target_controller import TargetController, TargetState
-from jaxplore.planning.strategy.target_progress import TargetProgress
+from jaxplore.planning.strategy.target_controller import (
+    TargetController,
+    TargetProgress,
+    TargetState,
+)
 from jaxplore.planning.strategy.target_rules import TargetRule
 
 

@@ -22,8 +22,11 @@ from jaxplore.dynamics.quadrotor import position_upwards
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.planning.strategy.frontiers import Frontiers, cluster_sizes
-from jaxplore.planning.strategy.target_controller import TargetController, TargetState
-from jaxplore.planning.strategy.target_progress import TargetProgress
+from jaxplore.planning.strategy.target_controller import (
+    TargetController,
+    TargetProgress,
+    TargetState,
+)
 from jaxplore.planning.strategy.target_rules import TargetRule
 
 
