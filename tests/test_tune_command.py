@@ -11,7 +11,7 @@ import yaml
 from PIL import Image
 
 from jaxplore.cli import main
-from jaxplore.cli._tune_entries import scenario_entries
+from jaxplore.cli._tune import scenario_entries
 from jaxplore.study.tuning.study import Study
 
 QUICK = ("path", "--samples", "16", "--set", "controller.horizon=6", "--time-limit", "0.6")

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 import jaxplore as jx
 from jaxplore import _checks
 from jaxplore._limits import LARGEST, MOST_SEEDS
-from jaxplore.cli._tune_entries import parse_budget
+from jaxplore.cli._tune import parse_budget
 from jaxplore.maps.files.images import image_size, read_greys
 from jaxplore.maps.files.ros import map_size
 from jaxplore.maps.padding import choose_padded_shape
