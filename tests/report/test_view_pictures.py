@@ -19,9 +19,9 @@ from jaxplore.report.following.laps import speeds
 from jaxplore.scenes.scene import linear_light
 from jaxplore.scenes.shapes import grow_outlines, prisms, segments, strip, turn
 from jaxplore.scenes.textures import Ground
+from jaxplore.view.display import weight_colours
 from jaxplore.view.history import History, Thinned, plain
 from jaxplore.view.replay import Replay
-from jaxplore.view.rollouts import weight_colours
 
 
 def rng() -> np.random.Generator:
