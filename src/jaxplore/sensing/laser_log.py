@@ -15,8 +15,11 @@ from jaxplore import _checks, _kinds
 from jaxplore._files import read_bytes
 from jaxplore._text import error_reason, printable_path
 from jaxplore.sensing.beams import Beams, Scan, angle_between, fan_angles
-from jaxplore.sensing.carmen import KINDS, NO_ECHO, LogLines, Reading
-from jaxplore.sensing.log_order import (
+from jaxplore.sensing.carmen import (
+    KINDS,
+    NO_ECHO,
+    LogLines,
+    Reading,
     choose_kind,
     find_poses,
     is_mounted,
