@@ -9,8 +9,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxplore._types import Count, Flag, Pose, Scalar
-from jaxplore.belief.car_joins import DescentTree, Join, nearest_heading
-from jaxplore.belief.car_motions import motion_table, motions_from
+from jaxplore.belief.car_joins import DescentTree, Join, motion_table, motions_from, nearest_heading
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS
 from jaxplore.maps.frame import GridFrame
 

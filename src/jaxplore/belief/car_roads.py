@@ -12,8 +12,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
-from jaxplore.belief.car_joins import DescentTree, find_join
-from jaxplore.belief.car_motions import motion_table
+from jaxplore.belief.car_joins import DescentTree, find_join, motion_table
 from jaxplore.belief.car_paths import (
     CHANNEL_LENGTH,
     DrivenPath,
