@@ -15,12 +15,12 @@ from scipy.sparse.csgraph import dijkstra
 import jaxplore as jx
 from jaxplore.belief import CarMotion
 from jaxplore.belief.car import car_motion, in_passage
-from jaxplore.belief.car_joins import find_join
 from jaxplore.belief.car_paths import (
     CHANNEL_LENGTH,
     CHANNEL_WIDTH,
     STRAYING,
     DrivenPath,
+    find_join,
     without_shortcuts,
 )
 from jaxplore.belief.roadmap import NARROW_PRICE, TurnsOnTheSpot

@@ -12,10 +12,12 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
-from jaxplore.belief.car_joins import DescentTree, find_join, motion_table
 from jaxplore.belief.car_paths import (
     CHANNEL_LENGTH,
+    DescentTree,
     DrivenPath,
+    find_join,
+    motion_table,
     trace_path,
     with_channel,
     without_shortcuts,
