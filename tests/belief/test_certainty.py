@@ -8,7 +8,7 @@ import pytest
 
 import jaxplore as jx
 from jaxplore.belief.certainty import LEAST_TURN, CertaintyField
-from jaxplore.costs.localisation import CertainInformationCost, UncertaintyCost
+from jaxplore.costs.exploration import CertainInformationCost, UncertaintyCost
 from jaxplore.dynamics.base import State
 from jaxplore.dynamics.uncertain import VARIANCE, UncertainRobot
 from jaxplore.maps.clearance import clearance_field

@@ -10,9 +10,13 @@ from jaxplore.control.parameterisations import Parameterisation
 from jaxplore.control.weighting import Weighting
 from jaxplore.costs.base import Cost
 from jaxplore.costs.effort import ControlCost
-from jaxplore.costs.exploration import GuidanceCost, InformationCost
+from jaxplore.costs.exploration import (
+    CertainInformationCost,
+    GuidanceCost,
+    InformationCost,
+    UncertaintyCost,
+)
 from jaxplore.costs.heading_for import ToGoalCost
-from jaxplore.costs.localisation import CertainInformationCost, UncertaintyCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.occlusion import OcclusionCost
