@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from typing import BinaryIO
 
-_LONGEST = 20_000
+_HEADER = 20_000
 """Longest part of a file that is looked at [bytes]."""
 _DIGITS = 15
 """Digits of a number that are read: all files are shorter."""
@@ -41,7 +41,7 @@ def check_header(file: BinaryIO, kind: str) -> None:
 
     `kind` is the ending of its name, without the dot. Kinds without a check here all pass.
     """
-    header, size = file.read(_LONGEST), file.seek(0, 2)
+    header, size = file.read(_HEADER), file.seek(0, 2)
     file.seek(0)
     begins = header.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not begins.startswith(_BEGINNINGS.get(kind, b"")) or not begins:
