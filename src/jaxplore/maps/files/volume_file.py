@@ -16,8 +16,14 @@ from jaxplore._files import open_limited
 from jaxplore._limits import MOST_VOXELS
 from jaxplore._text import error_reason, printable_path
 from jaxplore.maps.datum import ORIGIN, Datum
-from jaxplore.maps.files.mesh_headers import check_header
-from jaxplore.maps.files.mesh_process import AXES, KINDS, Geometry, place, read_geometry
+from jaxplore.maps.files.mesh_process import (
+    AXES,
+    KINDS,
+    Geometry,
+    check_header,
+    place,
+    read_geometry,
+)
 from jaxplore.maps.files.npz import MALFORMED_NPZ, read_array, read_arrays
 from jaxplore.maps.files.octomap_file import OctoMap
 from jaxplore.maps.voxel_grid import VoxelGrid
