@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import OccupancyGrid
-from jaxplore.belief.goal_field import goal_field
+from jaxplore.belief.exploration_field import goal_field
 from jaxplore.belief.roadmap import TurnsOnTheSpot
 
 SHAPE, RESOLUTION, STRIDE, LAYERS = (22, 29), 0.1, 2, 3

@@ -18,9 +18,13 @@ from jaxplore._xla import compute
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.car import CarMotion
 from jaxplore.belief.dwell import add_dwell, dwell_discount, with_given_up
-from jaxplore.belief.exploration_field import GOAL_DETOUR, exploration_field, leads_to_goal
+from jaxplore.belief.exploration_field import (
+    GOAL_DETOUR,
+    exploration_field,
+    goal_field,
+    leads_to_goal,
+)
 from jaxplore.belief.gain import Gain
-from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.part import Errand, Observation, Part, as_parts
 from jaxplore.belief.perception_checks import (
@@ -634,7 +638,7 @@ class Perception(eqx.Module):
         heading: Scalar | None = None,
         closed: GridMask | None = None,
     ) -> GuidanceField:
-        """Return the cost-to-go to a goal; see `jaxplore.belief.goal_field`.
+        """Return the cost-to-go to a goal; see `jaxplore.belief.exploration_field`.
 
         Args:
             goal: goal position (x, y) [m].
