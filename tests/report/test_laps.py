@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxplore.report.following.laps import lap_starts, lap_times, num_laps, speeds
+from jaxplore.report.following.data import lap_starts, lap_times, num_laps, speeds
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from PIL import Image
 from jaxplore.report.drawing.colours import FREE, OCCUPIED, UNKNOWN
 from jaxplore.report.drawing.palette import HEAT, MAX_HEAT
 from jaxplore.report.drawing.rollout_costs import cost_colours
-from jaxplore.report.following.laps import speeds
+from jaxplore.report.following.data import speeds
 from jaxplore.scenes.scene import linear_light
 from jaxplore.scenes.shapes import grow_outlines, prisms, segments, strip, turn
 from jaxplore.scenes.textures import Ground

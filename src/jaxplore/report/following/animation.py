@@ -29,8 +29,7 @@ from jaxplore.report.drawing.picture import (
     pairs,
 )
 from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts
-from jaxplore.report.following.data import PathData, PathFrame
-from jaxplore.report.following.laps import lap_starts, num_laps, speeds
+from jaxplore.report.following.data import PathData, PathFrame, lap_starts, num_laps, speeds
 from jaxplore.report.following.plots import course_box, worst_steps
 
 BEYOND = blend(UNKNOWN, FREE, 0.45)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxplore.report._numbers import finite, finite_mean, text
-from jaxplore.report.following.data import PathData
-from jaxplore.report.following.laps import lap_times, speeds
+from jaxplore.report.following.data import PathData, lap_times, speeds
 from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
 from jaxplore.report.motion import command_jerk, episodes
 

@@ -21,8 +21,7 @@ from jaxplore.report.drawing.colours import (
 )
 from jaxplore.report.drawing.picture import outline_at
 from jaxplore.report.drawing.scale_bar import add_scale_bar
-from jaxplore.report.following.data import PathData
-from jaxplore.report.following.laps import lap_starts, num_laps, speeds
+from jaxplore.report.following.data import PathData, lap_starts, num_laps, speeds
 from jaxplore.report.motion import episodes
 
 if TYPE_CHECKING:

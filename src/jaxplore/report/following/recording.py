@@ -13,8 +13,7 @@ from jaxplore.report.following.animation import (
     path_painter,
     path_palette,
 )
-from jaxplore.report.following.data import PathData, PathFrame
-from jaxplore.report.following.laps import speeds
+from jaxplore.report.following.data import PathData, PathFrame, speeds
 from jaxplore.report.following.metrics import PathMetrics, compute_path_metrics
 from jaxplore.report.following.plots import errors_figure, path_figure
 from jaxplore.report.recording import LiveCurves, Recording
