@@ -8,7 +8,7 @@ import pytest
 
 from jaxplore.onboard.options import Command, Mode
 from jaxplore.ros.command_publisher import COMMAND_TYPES, CommandPublisher
-from jaxplore.ros.silence import GONE_SECONDS, Silence
+from jaxplore.ros.inputs import GONE_SECONDS, Silence
 from jaxplore.settings.node import NodeSettings
 
 
@@ -100,7 +100,7 @@ def test_a_type_that_was_given_stays_and_the_mismatch_is_named(heard) -> None:
 
 def test_a_robot_that_is_gone_is_named_and_in_the_end_given_up(monkeypatch) -> None:
     now, link = [100.0], FakeLink()
-    monkeypatch.setattr("jaxplore.ros.silence.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("jaxplore.ros.inputs.time.monotonic", lambda: now[0])
     silence = Silence(link, ("/scan", "/odom"), 90.0)
     now[0] += GONE_SECONDS - 1.0
     silence.hear("/odom")
@@ -117,7 +117,7 @@ def test_a_robot_that_is_gone_is_named_and_in_the_end_given_up(monkeypatch) -> N
 
 def test_without_a_limit_it_waits_for_ever(monkeypatch) -> None:
     now, link = [0.0], FakeLink()
-    monkeypatch.setattr("jaxplore.ros.silence.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("jaxplore.ros.inputs.time.monotonic", lambda: now[0])
     silence = Silence(link, ("/scan",), None)
     now[0] = 1e6
     assert silence.check() == ""

@@ -24,10 +24,9 @@ from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.command_publisher import CommandPublisher
 from jaxplore.ros.drive_publisher import DrivePublisher
-from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
+from jaxplore.ros.inputs import Silence, subscribe_pose, subscribe_scan
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
-from jaxplore.ros.silence import Silence
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
 from jaxplore.simulation.monitor import Monitor

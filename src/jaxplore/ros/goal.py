@@ -12,9 +12,8 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.drive_clock import DriveClock, Stamps
 from jaxplore.onboard.goals import Goal, GoalChooser
 from jaxplore.ros import map_messages, messages
-from jaxplore.ros.inputs import subscribe_pose
+from jaxplore.ros.inputs import Silence, subscribe_pose
 from jaxplore.ros.link import Link
-from jaxplore.ros.silence import Silence
 from jaxplore.settings.node import NodeSettings
 
 CHOICE_SECONDS = 1.0
