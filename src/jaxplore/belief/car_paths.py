@@ -1,4 +1,4 @@
-"""Paths of a car: its motions on a lattice, one after another, down a cost-to-go."""
+"""Paths of a car: from its pose to its lattice, and motion after motion down a cost-to-go."""
 
 import functools
 import math

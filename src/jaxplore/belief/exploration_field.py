@@ -1,4 +1,4 @@
-"""Compute the cost-to-go to remaining information."""
+"""Compute the cost-to-go to remaining information, and to a goal through a partly unknown map."""
 
 from typing import Any
 

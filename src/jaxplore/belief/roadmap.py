@@ -1,4 +1,4 @@
-"""Road maps: the nodes of a lattice at which a robot fits, with the paths between them."""
+"""Road maps: the nodes of a lattice at which a robot fits, and the costs of the paths on it."""
 
 import abc
 import functools

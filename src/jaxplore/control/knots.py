@@ -1,4 +1,7 @@
-"""Controls at knots, interpolated in between."""
+"""Parameterise a control sequence by a few knots: kernel and spline MPPI.
+
+Time is in model steps.
+"""
 
 import abc
 import functools

@@ -1,4 +1,8 @@
-"""Model predictive path integral control."""
+"""Model predictive path integral control (MPPI), a step from top to bottom.
+
+A step samples control sequences around the last solution, evaluates the costs of their rollouts, on
+one device or on several, and updates the solution by their weighted mean.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -1,4 +1,7 @@
-"""A robot: what it measures goes in, what it knows comes out."""
+"""A robot: what it measures goes in, what it knows comes out.
+
+It knows no truth: a simulation and the pilot of a real robot call the same methods.
+"""
 
 import dataclasses
 import functools

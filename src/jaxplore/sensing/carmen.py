@@ -1,4 +1,4 @@
-"""Parse the lines of logs of CARMEN, and of GMapping's: scans of lidars and odometry.
+"""Logs of CARMEN and of GMapping: parse their lines, and choose and order their scans.
 
 Source: the log formats of CARMEN, the Carnegie Mellon Robot Navigation Toolkit; GMapping's `gfs`
 files as its grid SLAM processor writes them.

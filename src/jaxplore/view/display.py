@@ -1,4 +1,4 @@
-"""The page of a view: a scene, curves, and a panel whose other parts are added by its owner."""
+"""The page of a view: a scene, curves, colours of rollouts, and a panel for further parts."""
 
 import io
 import threading

@@ -1,4 +1,7 @@
-"""The members of a portfolio: MPPI controllers that run in one `vmap`."""
+"""The members of a portfolio: MPPI controllers that run in one `vmap`.
+
+Each objective is divided by its spread, so that the weights of members are comparable.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

@@ -1,4 +1,7 @@
-"""The portfolio: several MPPI controllers with different weights, and the fusion of their plans."""
+"""The portfolio: several MPPI controllers with different weights, and the fusion of their plans.
+
+The common objective is one cost that makes the plans of all members comparable.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""Data of a path-following run: the record of each step, the frames, the course."""
+"""Data of a path-following run: the record of each step, frames, course, laps and speeds."""
 
 import dataclasses
 from typing import Any, NamedTuple
