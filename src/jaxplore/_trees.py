@@ -18,8 +18,9 @@ def stack_trees[Tree](trees: Sequence[Tree]) -> Tree:
 class HostOnly[T]:
     """A value that belongs to an object on the host, and on which no compiled program depends.
 
-    All are equal, so that as a static field one does not compile a program again. A function that
-    is compiled must neither read nor return it: it would have that of another call.
+    All instances compare equal. As a static field, another value therefore does not compile a
+    program again. For the same reason a compiled function must neither read nor return the value:
+    it would be that of the call for which it was compiled.
     """
 
     __slots__ = ("value",)

@@ -42,10 +42,15 @@ class DriveClock:
     """Tells the time of a drive [s], which never goes back and never jumps.
 
     It begins at the first reading of the clock of the stamps. Then it passes as the steady clock
-    does. Without one, or with a simulated clock, it passes as the clock of the stamps does. A step
-    of that clock is a jump where it differs by more than `MAX_STEP` from the time that can have
-    passed: from that of the steady clock, from 0 to `MOST_RATE` times that of a simulated one, or
-    from 0 to `MOST_BETWEEN` without a steady clock. A control period passes in a jump.
+    does. Without one, or with a simulated clock, it passes as the clock of the stamps does.
+
+    The clock of the stamps jumps if its step cannot be the time that has passed, which is
+
+    - with a steady clock: the time by that clock, within `MAX_STEP`;
+    - with a simulated clock: at most `MOST_RATE` times the real time since it last moved;
+    - without a steady clock: at most `MOST_BETWEEN`.
+
+    A step back by more than `MAX_STEP` is always a jump. In a jump one control period passes.
 
     `jump` says by how much the clock jumped at the last reading; None if it did not. `is_standing`
     is whether a simulated clock stands still.
@@ -129,13 +134,15 @@ class DriveClock:
 class Stamps:
     """Tells when in a drive the messages of a topic were true, by their stamps and arrivals.
 
-    A message was true at its arrival less its age, the time of its arrival less its stamp. The age
-    is 0 for a stamp that is ahead of its arrival, and where the clock of the sender differs by more
-    than `CLOCK_TOLERANCE` from the first message on, or since its stamps went back. A message that
-    is later than that on a clock that did not differ is as old as its stamp says.
+    If the clock of the sender agrees with this one, a message was true at its stamp, or at its
+    arrival where the stamp is later. If it does not agree, a message was true when it arrived.
 
-    Of two messages the one that was true later is newer. A stamp that is ahead of its arrival by
-    more than a control period is not believed to be newer than what arrives after it.
+    The clocks agree once a stamp is within `CLOCK_TOLERANCE` of its arrival. A message that is late
+    by more does not change that. They do not agree if the first stamp is farther off, a stamp is 0
+    or stamps go back, until one is within the tolerance again.
+
+    Of two messages the one that was true later is newer. A stamp that is more than a control period
+    ahead of its arrival is an error: messages that arrive after it are not older for it.
     """
 
     def __init__(self, period: float) -> None:

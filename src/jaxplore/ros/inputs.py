@@ -1,4 +1,4 @@
-"""What a node hears: poses of one frame and scans of one lidar, and for how long it hears nothing."""
+"""What a node hears: poses of one frame, scans of one lidar, and for how long nothing."""
 
 import math
 import time

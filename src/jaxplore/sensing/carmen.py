@@ -398,10 +398,11 @@ def odometry_by_lines(
 ) -> Floats | None:
     """Return the odometry (N, 3) of a corrected log by its lines ODOM; None if it has none.
 
-    GMapping writes a corrected log so: after each scan a line ODOM with its corrected pose, from
-    which the lines up to the next scan go on by the odometry. What a scan lacks of these lines is
-    the motion between the corrected poses. `kind` is that of the lines with scans, and `poses` (N,
-    3) are those of `readings`.
+    In a corrected log of GMapping each scan is followed by a line ODOM with its corrected pose. The
+    lines ODOM up to the next scan continue from there by the odometry. So the odometry between two
+    scans is the motion from the first to the last of these lines. Where a scan has no such lines,
+    the motion between the corrected poses stands for it. `kind` is that of the lines with scans,
+    and `poses` (N, 3) are those of `readings`.
     """
     rows = np.frombuffer(lines.odometry).reshape(-1, 5)
     if len(rows) < 2 or len(readings) < 2:

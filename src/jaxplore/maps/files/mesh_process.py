@@ -1,8 +1,8 @@
 """Read meshes and point clouds by their libraries, in a process with bounds of memory and time.
 
 The libraries take a file at its word: a few bytes may ask for all memory, or never end. So
-`mesh_script` runs them in a process of its own. Readers allocate what a header promises: what cannot
-be true of the size of the file is refused before, and in words.
+`mesh_script` runs them in a process of its own. Readers allocate what a header promises: what
+cannot be true of the size of the file is refused before, and in words.
 """
 
 import json
