@@ -28,9 +28,9 @@ SEEN = 0.9
 class DataCheck:
     """Gathers what data say, and says why a robot must not move, by the rule of `next_stop`.
 
-    Two empty scans in a row repeat each other, as those of a lidar that has failed, unless the robot
-    may be in the open: if the distance of what the lidar met last, plus the way that the robot has
-    moved since, is more than its `max_range` [m].
+    Two empty scans in a row repeat each other, as those of a lidar that has failed, unless the
+    robot may be in the open: if the distance of what the lidar met last, plus the way that the
+    robot has moved since, is more than its `max_range` [m].
     """
 
     def __init__(
