@@ -15,6 +15,7 @@ class WatchTruth(PartTruth):
     """Judges how well a robot with an `IdlenessMap` patrols."""
 
     name: ClassVar[str] = IdlenessMap.name
+    is_default: ClassVar[bool] = True
     is_judging: ClassVar[bool] = True
 
     has_targets: bool = False

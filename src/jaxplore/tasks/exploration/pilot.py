@@ -16,6 +16,7 @@ from jaxplore.onboard.goals import GoalChooser
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.parameters import set_parameters
+from jaxplore.parts.registry import CAPABILITIES
 from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.robot.localisation import Localisation
@@ -32,8 +33,9 @@ from jaxplore.tasks.robot import build_robot, build_sensor_model, build_sensors
 from jaxplore.tasks.user_code import import_rule
 
 NO_PART = (
-    *("map", "is_map_known", "world", "start", "goal", "office", "terrain", "camera", "watch"),
+    *("map", "is_map_known", "world", "start", "goal", "office", "terrain", "camera"),
     *("altitude", "faults", "variation", "latency", "guard"),
+    *(each.name for each in CAPABILITIES if not each.is_on_board),
 )
 """Settings of a simulated world, and of parts that a pilot does not have or has of its own."""
 
