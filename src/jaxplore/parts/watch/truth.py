@@ -16,6 +16,7 @@ class WatchTruth(PartTruth):
 
     name: ClassVar[str] = IdlenessMap.name
     is_default: ClassVar[bool] = True
+    objective: ClassVar[str | None] = "watch.mean_idleness"
     is_judging: ClassVar[bool] = True
 
     has_targets: bool = False

@@ -76,6 +76,8 @@ class PartTruth(eqx.Module):
     """Whether it is the truth of a `Part` that the robot must have."""
     is_default: ClassVar[bool] = False
     """Whether a robot with the part has it where no other is given; it is made of no arguments."""
+    objective: ClassVar[str | None] = None
+    """Metric that a search makes small where the run has no end, such as `watch.mean_idleness`."""
     is_moving: ClassVar[bool] = False
     """Whether where the robot gets to depends on it."""
     is_judging: ClassVar[bool] = False

@@ -390,8 +390,9 @@ class ExplorationScenario(Scenario):
 
     @property
     def objective(self) -> str:
-        """Default objective: time to the end, or the idleness of a patrol, plus contacts."""
-        return default_objective(self.num_targets, self.goal, self.target)
+        """Default objective: time to the end, or what is true of a part says, plus contacts."""
+        endless = [each.objective for each in self.truths if each.objective is not None]
+        return default_objective(self.num_targets, self.goal, self.target, endless)
 
     @property
     def metric_groups(self) -> tuple[str, ...]:
