@@ -13,7 +13,7 @@ from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
-from jaxplore.parts.registry import build_parts
+from jaxplore.parts.registry import Equipment, build_parts
 from jaxplore.sensing.base import Sensor
 from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.experiment import Experiment
@@ -77,6 +77,8 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
     """Build the scenario that settings describe in a world that is given; see `build_in`."""
     sensors = build_sensors(settings)
     equipment = build_parts(settings, surroundings(settings, world, robot))
+    if not world.is_placed:
+        equipment = Equipment(tuple(part.unplaced() for part in equipment.parts), ())
     perception = _perception(settings, robot, world, sensors, equipment.parts)
     ground = world.ground
     scenario = ExplorationScenario(

@@ -64,6 +64,11 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
     # The office stands in for the map: a robot finds its own.
     # The guard is that of a simulated robot: a pilot has its own checks.
     settings = make_exploration_settings({**given, "map": OFFICE, "guard": False})
+    if settings.fleet is not None:
+        raise ValueError(
+            f"setting fleet.robots is {settings.fleet.robots}; accepted: no section fleet, for "
+            "each robot of a fleet has a node of its own"
+        )
     check_no_mount(settings, "node.lidar_x, node.lidar_y and node.lidar_yaw_degrees")
     return settings, node
 
@@ -127,7 +132,7 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
     grid = OccupancyGrid(
         np.zeros((cells, cells), np.float32), settings.resolution, (-0.5 * side, -0.5 * side, 0.0)
     )
-    world = RunWorld(grid, (0.0, 0.0, 0.0))
+    world = RunWorld(grid, (0.0, 0.0, 0.0), is_placed=False)
     key = jax.random.key(settings.seed)
     options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
     if node.mode == "follow":

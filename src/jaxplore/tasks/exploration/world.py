@@ -30,7 +30,8 @@ class RunWorld(NamedTuple):
     All positions are relative to the datum, which is (0, 0) unless the map is far away. The start
     is a pose (x, y, yaw) [m, m, rad], the goal a position (x, y) or (x, y, z) [m]. Nothing is known
     in advance without a `prior`, and the rectangles `zones` [m] are unknown in any case. Terrain is
-    level without a `ground`. `source` is the world of which this is made, for parts.
+    level without a `ground`. `source` is the world of which this is made, for parts. Of a robot on
+    board nobody knows before its first pose where its coordinates begin: it is not `is_placed`.
     """
 
     grid: OccupancyGrid
@@ -43,6 +44,7 @@ class RunWorld(NamedTuple):
     movers: tuple[MovingObstacle, ...] = ()
     source: World | None = None
     datum: Datum = ORIGIN
+    is_placed: bool = True
 
 
 def build_world(settings: Settings, radius: float) -> RunWorld:
