@@ -80,16 +80,3 @@ def test_importing_imports_no_other_package_and_a_controller_none_that_is_slow()
 def test_a_name_that_there_never_was() -> None:
     with pytest.raises(AttributeError, match=r"^module 'jaxplore' has no attribute 'Teleporter'$"):
         jaxplore.Teleporter  # noqa: B018
-
-
-def test_what_parts_show_is_found_when_a_run_is_read() -> None:
-    """The classes of all reports of parts, which a run folder names, in a process of its own."""
-    code = (
-        "from pathlib import Path; import jaxplore; from jaxplore.simulation import Run\n"
-        "from jaxplore.report.part import PartReport\n"
-        "print(sorted(each.__module__ for each in PartReport.__subclasses__()))\n"
-    )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    folder = Path(jaxplore.__file__).parent / "parts"
-    found = {f"jaxplore.parts.{each.parent.name}.report" for each in folder.glob("*/report.py")}
-    assert set(ast.literal_eval(told.stdout)) == found

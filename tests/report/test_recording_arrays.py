@@ -5,12 +5,16 @@ import io
 import json
 import pickle
 import shutil
+import subprocess
+import sys
 import zipfile
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
+import jaxplore
 from jaxplore.report import recording_arrays
 from jaxplore.report.recording_arrays import load_run
 from jaxplore.report.save import save_run
@@ -61,6 +65,30 @@ def test_a_run_that_is_read_equals_the_one_that_was_written(kind, request, tmp_p
     if saved.frames:
         images = [each.frame_image(each.frames[-1]).tobytes() for each in (run.recording, saved)]
         assert images[0] == images[1]
+
+
+def test_a_process_that_knows_no_part_reads_what_a_run_shows_of_its_parts(vehicle, tmp_path):
+    save_run(vehicle, vehicle.metrics(), tmp_path / "run", animation=False)
+    code = (
+        "import sys\n"
+        "from jaxplore.simulation.run import Run\n"
+        "assert not any(name.startswith('jaxplore.parts') for name in sys.modules)\n"
+        "print(sorted(type(each).__name__ for each in Run.load('run').recording.parts.values()))\n"
+    )
+    command = [sys.executable, "-c", code]
+    told = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert told.stdout.strip() == "['WatchReport', 'WheelReport']"
+
+
+def test_only_modules_of_parts_are_imported(vehicle) -> None:
+    for module in ("this", "jaxplore.parts", "jaxplore.parts.wheels.report.this", 3, None):
+        packed = {"part": "WheelReport", "module": module, "fields": {}}
+        assert recording_arrays._make_part(packed, {}) == vehicle.parts["wheels"]
+    assert "this" not in sys.modules
+    reports = Path(jaxplore.__file__).parent.glob("parts/*/report.py")
+    names = [f"jaxplore.parts.{each.parent.name}.report" for each in reports]
+    assert names
+    assert all(map(recording_arrays._OF_A_PART.fullmatch, names))
 
 
 @pytest.fixture(scope="module")

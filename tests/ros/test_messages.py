@@ -35,6 +35,33 @@ class Plain:
         return self.__dict__[name]
 
 
+def battery_message(**fields):
+    given = {"percentage": math.nan, "charge": math.nan, "capacity": math.nan}
+    return SimpleNamespace(**{**given, "design_capacity": math.nan, **fields})
+
+
+@pytest.mark.parametrize(
+    ("fields", "share"),
+    [
+        ({"percentage": 0.42}, 0.42),
+        ({"percentage": 1.03}, 1.0),
+        ({"charge": 1.5, "capacity": 6.0, "design_capacity": 9.0}, 0.25),
+        ({"charge": 1.5, "capacity": 0.0, "design_capacity": 7.5}, 0.2),
+    ],
+)
+def test_the_charge_is_a_share_of_what_the_battery_holds(fields, share) -> None:
+    assert messages.battery_share_of(battery_message(**fields)) == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{}, {"percentage": 87.0}, {"percentage": -0.1}, {"charge": 2.0}, {"percentage": math.inf}],
+)
+def test_a_charge_that_is_no_share_is_refused(fields) -> None:
+    with pytest.raises(ValueError, match=r"percentage of a battery is .*; accepted: a share"):
+        messages.battery_share_of(battery_message(**fields))
+
+
 def scan_message(ranges, **fields):
     header = SimpleNamespace(stamp=SimpleNamespace(sec=3, nanosec=250_000_000), frame_id="laser")
     given = {

@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 
 from jaxplore.costs import StabilityCost
-from jaxplore.settings.robot import ChassisSettings, RobotSettings
+from jaxplore.maps.datum import ORIGIN
+from jaxplore.parts.capability import Surroundings
+from jaxplore.parts.wheels.settings import ChassisSettings, build_chassis
+from jaxplore.settings.robot import RobotSettings
 from jaxplore.tasks.exploration.build import build_exploration
 from jaxplore.tasks.exploration.settings import make_exploration_settings
-from jaxplore.tasks.robot import build_chassis, build_robot
+from jaxplore.tasks.robot import build_robot
 
 PLACE = {"map": "office"}
 
 
 def built(robot: dict[str, object], **chassis: float):
     given = RobotSettings(**robot)
-    return build_chassis(ChassisSettings(**chassis), given, float(build_robot(given).radius))
+    around = Surroundings(ORIGIN, robot=given, radius=float(build_robot(given).radius))
+    return build_chassis(ChassisSettings(**chassis), around)
 
 
 def test_a_car_has_its_own_wheels() -> None:

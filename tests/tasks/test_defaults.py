@@ -25,10 +25,11 @@ from jaxplore.settings.node import DriveSettings
 from jaxplore.settings.sections import Section, read_settings, section_class
 from jaxplore.simulation.exploration import scenario as scenario_module
 from jaxplore.simulation.exploration.reachability import drivable_cells
-from jaxplore.tasks.exploration.settings import SCENARIOS, Settings, scenario_path
+from jaxplore.tasks.exploration.settings import SCENARIOS, ExplorationSettings, scenario_path
 from jaxplore.tasks.path.settings import PathSettings
+from jaxplore.tasks.reference import own_descriptions
 from jaxplore.tasks.registry import build, make_settings
-from jaxplore.tasks.volume.settings import VolumeSettings
+from jaxplore.tasks.volume.settings import VolumeExplorationSettings
 
 pytestmark = pytest.mark.long
 
@@ -242,7 +243,11 @@ def sections(kind: type[Section]) -> list[type[Section]]:
     return found
 
 
-SECTIONS = [*sections(Settings), *sections(PathSettings), *sections(VolumeSettings)]
+SECTIONS = [
+    *sections(ExplorationSettings),
+    *sections(PathSettings),
+    *sections(VolumeExplorationSettings),
+]
 
 
 def owners(kind: type[Section]) -> dict[str, tuple[str, str]]:
@@ -256,7 +261,7 @@ def owners(kind: type[Section]) -> dict[str, tuple[str, str]]:
 
 @pytest.mark.parametrize("kind", SECTIONS)
 def test_every_setting_is_described_once(kind: type[Section]) -> None:
-    own = {**descriptions(kind.__base__), **descriptions(kind)}
+    own = own_descriptions(kind)
     for name, field in kind.model_fields.items():
         assert bool(field.description) != (name in own), name
 
@@ -313,7 +318,7 @@ def test_every_number_of_a_preset_is_a_setting(owner: Callable[..., Any]) -> Non
 
 
 def test_differences_are_differences_and_have_a_reason() -> None:
-    owned = {"exploration": Settings, "path": PathSettings, "drive": DriveSettings}
+    owned = {"exploration": ExplorationSettings, "path": PathSettings, "drive": DriveSettings}
     owners = {
         "exploration.robot": jx.DifferentialDrive,
         "path.robot": jx.Ackermann,
@@ -381,8 +386,8 @@ def test_the_owner_s_signature_is_the_default() -> None:
 @pytest.mark.parametrize(
     ("entries", "kind"),
     [
-        ({"map": "office"}, Settings),
-        ({"map": "path", "world": {"size": [1.0, 1.0]}}, Settings),
+        ({"map": "office"}, ExplorationSettings),
+        ({"map": "path", "world": {"size": [1.0, 1.0]}}, ExplorationSettings),
         ({"map": "path"}, PathSettings),
         ({"map": "path", "path": "a.csv"}, PathSettings),
         ({"path": "track"}, PathSettings),

@@ -13,7 +13,7 @@ from jaxplore.settings.defaults import DIFFERENCES
 from jaxplore.settings.readers import given_leaves, read_values
 from jaxplore.settings.sections import Section, section_class
 from jaxplore.tasks.commented_yaml import to_commented_yaml
-from jaxplore.tasks.exploration.settings import Settings
+from jaxplore.tasks.exploration.settings import ExplorationSettings
 from jaxplore.tasks.path.settings import PathSettings
 from jaxplore.tasks.reference import (
     Row,
@@ -26,7 +26,7 @@ from jaxplore.tasks.reference import (
     setting_names,
 )
 from jaxplore.tasks.registry import build, keep_read, make_settings, places
-from jaxplore.tasks.volume.settings import GENERATED, VolumeSettings
+from jaxplore.tasks.volume.settings import GENERATED, VolumeExplorationSettings
 
 
 def row_of(name: str, task: str = "exploration") -> Row:
@@ -155,7 +155,7 @@ CASES: dict[str, dict[str, Any]] = {
 def read(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     """Return the names of the settings that are read from now on."""
     prefixes: dict[type, str] = {}
-    for kind in (Settings, PathSettings, VolumeSettings):
+    for kind in (ExplorationSettings, PathSettings, VolumeExplorationSettings):
         prefixes[kind] = ""
         for name, field in kind.model_fields.items():
             inner = section_class(field.annotation)

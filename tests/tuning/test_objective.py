@@ -11,6 +11,7 @@ from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.study.tuning import Objective
 from jaxplore.study.tuning.objective import flat, is_late, list_metrics, with_late_times
+from jaxplore.tasks.registry import build, make_settings
 
 
 def test_a_sum_is_read_and_written() -> None:
@@ -161,3 +162,19 @@ def test_a_level_that_is_no_share_is_refused(text) -> None:
         Objective.parse("cvar(0.8 a)")
     with pytest.raises(ValueError, match=r"^level of an objective is 1.0; accepted"):
         Objective(((1.0, "a"),), level=1.0)
+
+
+@pytest.mark.parametrize(
+    ("entries", "expected"),
+    [
+        ({}, "finished_at + 100*collisions"),
+        # It had the idleness of a map that the robot does not keep.
+        ({"target": "never"}, "finished_at + 100*collisions"),
+        ({"watch": {}}, "watch.mean_idleness + 100*collisions"),
+        ({"watch": {}, "target_coverage": 0.9}, "finished_at + 100*collisions"),
+    ],
+)
+def test_the_default_objective_is_a_metric_that_the_run_has(entries, expected) -> None:
+    office = {"width": 8.0, "height": 7.0}
+    made = build(make_settings({"map": "office", "office": office, **entries}))
+    assert made.scenario.objective == expected

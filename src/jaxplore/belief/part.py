@@ -91,6 +91,23 @@ class Part(eqx.Module):
         """
         return None
 
+    def unplaced(self) -> "Part":
+        """Return the part of a robot on board, which learns with its first pose where it is.
+
+        Nothing that has a place counts in a state of it before `locate`.
+        """
+        return self
+
+    def locate(self, own: Any, grid: Any, origin: Position) -> Any:
+        """Return the state of a robot whose coordinates begin at `origin`.
+
+        Args:
+            own: the state before the first scan.
+            grid: the map that the robot knows in advance.
+            origin: position (x, y) in the coordinates in which the part was given its places [m].
+        """
+        return own
+
     def observe(self, own: Any, observation: Observation) -> Any:
         """Return the state after a scan that was mapped.
 
@@ -196,6 +213,11 @@ class Part(eqx.Module):
     def has_errands(self) -> bool:
         """Whether the part sends the robot somewhere."""
         return type(self).errand is not Part.errand
+
+    @property
+    def has_instrument(self) -> bool:
+        """Whether an instrument of its own measures for the part."""
+        return type(self).look is not Part.look
 
     @property
     def adds_information(self) -> bool:

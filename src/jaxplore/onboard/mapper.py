@@ -95,6 +95,13 @@ class Mapper:
         self.known = Known(own, None if localisation is None else np.zeros(3))
         self._motions = ScanMotions()
         self._due: _Due | None = None
+        self._instruments = {
+            part.name: part for part in scenario.perception.parts if part.has_instrument
+        }
+        self._looks: dict[str, tuple[float, float]] = {}
+        self._origin: np.ndarray | None = None
+        self._has_places = bool(scenario.perception.parts)
+        self._closed: np.ndarray | None = None
         self._is_distrusted = self.is_misfit = False
         self._taken_at = self._mapped_at = self._derived_at = self._closed_at = -math.inf
 
@@ -113,6 +120,10 @@ class Mapper:
         robot, own = self._robot._replace(perception=perception), self.known.own
         pose, second, scan = jnp.zeros(3), jnp.ones(()), scan_room(self._robot.sensors[0])
         localisation, motions = robot.localisation, None
+        if self._has_places:
+            steps.locate_parts(perception, own.belief, jnp.zeros(2))
+        for part in self._instruments.values():
+            steps.look(part, own.belief, second, second)
         if localisation is not None:
             motions = Motions(jnp.zeros((2, 3)), jnp.ones((), jnp.int32), second)
         inputs = steps.MapInputs(pose, scan, second, motions)
@@ -154,6 +165,39 @@ class Mapper:
         if time - self._taken_at >= self._scan_period - 0.5 * self._period:
             self._taken_at, self._due = time, _Due(time, scan, pose, now, joint)
 
+    def locate(self, origin: np.ndarray) -> None:
+        """Take the position (2,) of the origin of the belief in the frame of the poses [m], before
+        the first scan; the places of parts are in that frame."""
+        self._origin = origin
+
+    @property
+    def is_located(self) -> bool:
+        """Whether the parts have their places in the map."""
+        return not self._has_places
+
+    def is_closed(self, place: np.ndarray) -> bool:
+        """Check whether the robot must not enter the cell of a position (2,) in the map."""
+        cells = self._closed
+        if cells is None:
+            return False
+        # The map of a drive is not turned. No JAX here: this runs between commands.
+        frame = self.known.belief.grid.frame
+        corner = np.asarray(frame.origin, np.float64)[:2]
+        column, row = np.floor((place - corner) / frame.resolution).astype(int).tolist()
+        is_in = 0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]
+        return bool(is_in and cells[row, column])
+
+    def look(self, name: str, measured: float, time: float) -> None:
+        """Take a measurement by the instrument of a part at a time [s]; the newest counts.
+
+        A part that the robot does not have, or without an instrument, is a `ValueError`.
+        """
+        if name not in self._instruments:
+            accepted = ", ".join(self._instruments) or "none, for no part has an instrument"
+            raise ValueError(f"name is {name!r}; accepted: {accepted}")
+        # Another thread takes them, so the dictionary is replaced and never changed.
+        self._looks = {**self._looks, name: (measured, time)}
+
     def distrust(self) -> None:
         """Note that for a while no scan was taken, because the pose may not be true: scans that did
         not fit before tell nothing of the world."""
@@ -161,6 +205,8 @@ class Mapper:
 
     def map_scan(self, perception: Perception) -> None:
         """Let the robot map the newest scan that is due, see `Robot.map_scans`."""
+        self._take_places(perception)
+        self._take_looks()
         due, self._due = self._due, None
         if due is None:
             return
@@ -192,6 +238,25 @@ class Mapper:
             correction = compose(pose, inverse(due.pose))
         self.known = Known(own, correction, due.time)
         self._mapped_at = due.time
+
+    def _take_places(self, perception: Perception) -> None:
+        """Place the parts in the map, once its origin is known."""
+        if self._origin is None or not self._has_places:
+            return
+        own, origin = self.known.own, on_device(self._origin.astype(np.float32))
+        belief, closed = steps.locate_parts(perception, own.belief, origin)
+        self.known = self.known._replace(own=own._replace(belief=belief))
+        self._closed = None if closed is None else np.asarray(closed)
+        self._has_places = False
+
+    def _take_looks(self) -> None:
+        """Let parts know what their instruments have measured since the last scan."""
+        looks, self._looks = self._looks, {}
+        for name, given in looks.items():
+            own = self.known.own
+            measured, time = jax.device_put(tuple(np.float32(each) for each in given))
+            belief = steps.look(self._instruments[name], own.belief, measured, time)
+            self.known = self.known._replace(own=own._replace(belief=belief))
 
     def update_fields(self, perception: Perception, now: float, pose: np.ndarray) -> float | None:
         """Update the information and guidance fields if they are due.

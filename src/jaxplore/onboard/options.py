@@ -48,6 +48,8 @@ class PilotOptions:
         max_frozen: greatest time in which equal scans or poses arrive although the robot should
             move [s].
         max_jump: greatest jump of the pose [m].
+        max_look_age: greatest age of what the instrument of a part measures, such as the charge of
+            a battery [s]; the robot brakes beyond it.
         max_deceleration: deceleration of the commands of a ramp to a stop [m/s^2]; the limits of
             the robot's base apply as well.
         max_angular_deceleration: angular deceleration of that ramp [rad/s^2].
@@ -69,6 +71,7 @@ class PilotOptions:
     max_age: float = MAX_AGE
     max_frozen: float = 0.3
     max_jump: float = 0.5
+    max_look_age: float = 30.0
     max_deceleration: float = 10.0
     max_angular_deceleration: float = 20.0
     margin: float = 0.03

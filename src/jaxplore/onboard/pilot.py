@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxplore import _kinds
+from jaxplore import _checks, _kinds
 from jaxplore._types import Key
 from jaxplore._xla import on_device
 from jaxplore.control.base import Controller
@@ -139,13 +139,6 @@ class Pilot:
             raise ValueError(
                 f"scenario has {len(scenario.sensors)} sensors; accepted: one, the lidar"
             )
-        sent = [part.name for part in scenario.perception.parts if part.has_errands]
-        if sent:
-            # It would take the battery to be full for ever.
-            raise ValueError(
-                f"perception has the part {sent[0]!r}; accepted on a robot: none that sends it "
-                "somewhere, because nothing tells it the charge"
-            )
         self.scenario, self.controller = scenario, controller
         self.options = PilotOptions() if options is None else options
         self.sensor, self.robot = scenario.sensors[0], scenario.robot
@@ -165,6 +158,9 @@ class Pilot:
         self._key, self._frame_key = jax.random.split(key)
         self._history = PoseHistory(self.options.max_jump)
         is_internal = localisation is not None
+        # When the instruments of parts last measured; a part does without until they have.
+        parts = scenario.perception.parts
+        self._measured_at = {part.name: -math.inf for part in parts if part.has_instrument}
         self._poses = MapPoses(self._history, scenario.cell_size, is_internal=is_internal)
         self._mapper = Mapper(scenario, self.log, localisation)
         self._known = self._mapper.known
@@ -185,6 +181,7 @@ class Pilot:
         self._number = 0
         self.num_replaced = 0
         self._finished = ""
+        self._has_driven = False
 
     @property
     def belief(self) -> Any:
@@ -247,7 +244,10 @@ class Pilot:
             return
         # A pose that was ahead of its time is not newer than this one.
         self._history.forget(after=time)
+        is_first = self._history.last is None
         problem = self._poses.add(time, pose, twist)
+        if is_first:
+            self._mapper.locate(self._poses.offset)
         if problem is not None:
             self._data.add_jump(problem)
 
@@ -279,6 +279,25 @@ class Pilot:
         # While the robot brakes, nobody takes them.
         kept = [each for each in self._new if time - each.time <= CHECKED_SECONDS]
         self._new = [*kept, self._scan]
+
+    def add_look(self, name: str, measured: float, received: Instant | None = None) -> None:
+        """Take a measurement by the instrument of a part, see `Part.look`.
+
+        Args:
+            name: name of the part.
+            measured: what it measures, such as the energy left in a battery [J].
+            received: when it arrived; now when absent.
+
+        Raises:
+            ValueError: a part without an instrument, or that the robot does not have; a number that
+                is not finite.
+        """
+        value = _checks.number("measured", measured)
+        time = self.time if received is None else self._clock.time_at(received)
+        if time is None or not math.isfinite(time):
+            return
+        self._mapper.look(name, value, time)
+        self._measured_at[name] = time
 
     def command(self, now: float | Instant) -> Command:
         """Compute the command for a time.
@@ -316,6 +335,7 @@ class Pilot:
             self._mapper.distrust()
         if self._clock.is_standing:
             is_trusted, problem = False, "the simulated clock stands still"
+        problem = problem or self._instrument_problem(now) or self._place_problem()
         scan_time = self._take_scan(now) if is_trusted else None
         if self._finished:
             return self._ramp_down(now, elapsed, Mode.DONE, self._finished)
@@ -343,6 +363,7 @@ class Pilot:
         self._expected = np.asarray(planned.after)
         controls, twists = np.asarray(planned.controls), np.asarray(planned.twists, np.float64)
         assert self._history.last is not None
+        self._has_driven = True
         self._sent.add(controls[0], now, self._history.last.time)
         self._twist = twists[0]
         is_replaced = bool(planned.is_replaced)
@@ -392,7 +413,9 @@ class Pilot:
         # Where the clock has jumped since the command, the fields wait for the next one.
         cost = None if time is None else self._mapper.update_fields(perception, time, pose)
         if cost is not None and time is not None:
-            is_started, motion = self.is_started, _motion(last.twist)
+            sent, motion = self._mapper.belief.is_sent, _motion(last.twist)
+            # On its way to a dock, and while it is charged, a robot looks for nothing.
+            is_started = self.is_started and not (sent is not None and bool(sent))
             self.finish(
                 self.task.update(time, cost, pose[:2], is_started=is_started, motion=motion)
             )
@@ -516,6 +539,22 @@ class Pilot:
             self.scenario.control_period,
             self._key,
         )
+
+    def _instrument_problem(self, now: float) -> str:
+        """Return why an instrument of a part lets the robot stand; empty if none does."""
+        for name, time in self._measured_at.items():
+            age = now - time
+            if age > self.options.max_look_age:
+                told = f"{age:.0f} s old" if math.isfinite(age) else "not there yet"
+                return f"the measurement of the {name} is {told}"
+        return ""
+
+    def _place_problem(self) -> str:
+        """Return why the robot does not begin where it stands; empty if it does."""
+        if self._has_driven or self._history.last is None or not self._mapper.is_located:
+            return ""
+        place = self._local(self._history.last.pose)[:2]
+        return "the robot stands in a keep-out area" if self._mapper.is_closed(place) else ""
 
     def _ages(self, now: float) -> tuple[np.float32, np.float32]:
         """Return how old the newest scan, and that in the map, are when a command takes effect."""

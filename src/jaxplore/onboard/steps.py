@@ -9,8 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import ControlVector, Count, Flag, GridMask, Key, Pose, Scalar, StateVector
+from jaxplore._types import (
+    ControlVector,
+    Count,
+    Flag,
+    GridMask,
+    Key,
+    Pose,
+    Position,
+    Scalar,
+    StateVector,
+)
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.part import Part
+from jaxplore.belief.perception import Perception
 from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller
 from jaxplore.control.guard import MotionGuard, ScanPoints
@@ -97,6 +109,30 @@ def _make_measurement(pose: Pose, scan: Scan, elapsed: Scalar, *, is_scan_due: b
     due, none = jnp.array(True), jnp.array(False)
     flags = (due, elapsed, none, elapsed) if is_scan_due else (none, elapsed, due, elapsed)
     return Measurement(pose, none, (scan,), *flags, elapsed, time=None)
+
+
+@eqx.filter_jit
+def locate_parts(
+    perception: Perception, belief: Belief, origin: Position
+) -> tuple[Belief, GridMask | None]:
+    """Return what a robot knows before its first scan, with the places of its parts where the
+    coordinates of its map begin at `origin` (2,) of those of the poses, see `Part.locate`.
+
+    The second result are the cells (H, W) that the robot must not enter; None without any.
+    """
+    known = {
+        part.name: part.locate(belief.parts[part.name], belief.grid, origin)
+        for part in perception.parts
+        if part.name in belief.parts
+    }
+    located = perception.with_map(belief.with_parts(known), belief.grid)
+    return located, perception.find_forbidden(located)
+
+
+@eqx.filter_jit
+def look(part: Part, belief: Belief, measured: Scalar, time: Scalar) -> Belief:
+    """Return what a robot knows after a measurement by the instrument of a part at a time [s]."""
+    return belief.with_parts({part.name: part.look(belief.parts[part.name], measured, time)})
 
 
 @eqx.filter_jit

@@ -110,7 +110,7 @@ class DriveTask:
             now: present time [s].
             cost: cost-to-go of the guidance field at the robot [m].
             place: (2,) position relative to the origin of the belief [m].
-            is_started: whether the robot may drive.
+            is_started: whether the robot may explore.
             motion: how fast it moves.
         """
         return ""

@@ -1,8 +1,11 @@
 """The file of a run folder from which a run is loaded: all fields of its recording."""
 
+import contextlib
 import dataclasses
+import importlib
 import json
 import math
+import re
 import types
 import typing
 from collections import namedtuple
@@ -31,6 +34,8 @@ CONTENT_LIMIT = 2**31
 """Largest content of such a file, unpacked [bytes]."""
 METRICS_LIMIT = 2**24
 """Largest `metrics.json` that is read [bytes]."""
+_OF_A_PART = re.compile(r"jaxplore\.parts\.[a-z_]+\.report")
+"""Modules that a file may name: what a run shows of the parts of the package."""
 
 
 def pack_recording(recording: Recording) -> dict[str, np.ndarray]:
@@ -63,7 +68,8 @@ def _pack(value: Any, path: str, arrays: dict[str, np.ndarray]) -> Any:
         arrays[path] = np.asarray(value, order="C")
         return {"array": path}
     if isinstance(value, PartReport):
-        return {"part": type(value).__name__, "fields": _pack_all(vars(value), path, arrays)}
+        kind = {"part": type(value).__name__, "module": type(value).__module__}
+        return {**kind, "fields": _pack_all(vars(value), path, arrays)}
     if isinstance(value, Timing):
         return {"fields": _pack_all(vars(value), path, arrays)}
     if hasattr(value, "_asdict"):
@@ -210,7 +216,14 @@ def _unpack(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
 
 
 def _make_part(packed: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> PartReport:
-    """Return what a run shows of a part; its class is looked up among those that are imported."""
+    """Return what a run shows of a part; its class is looked up among those that are imported.
+
+    A part of the package is imported first: reading a run needs no part but its own.
+    """
+    module = packed.get("module")
+    if isinstance(module, str) and _OF_A_PART.fullmatch(module):
+        with contextlib.suppress(ModuleNotFoundError):
+            importlib.import_module(module)
     kind = _find_class(PartReport, packed["part"])
     hints = typing.get_type_hints(kind)
     fields = {

@@ -21,10 +21,16 @@ from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
+from jaxplore.parts.battery.robot import Battery
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.command_publisher import CommandPublisher
 from jaxplore.ros.drive_publisher import DrivePublisher
-from jaxplore.ros.inputs import Silence, subscribe_pose, subscribe_scan
+from jaxplore.ros.inputs import (
+    Silence,
+    subscribe_battery,
+    subscribe_pose,
+    subscribe_scan,
+)
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.no_echo import NoEcho
@@ -168,6 +174,7 @@ class ControlNode:
         self._lock = threading.Lock()
         self._poses: list[messages.Odometry] = []
         self._scans: list[messages.LaserScan] = []
+        self._shares: list[tuple[float, Instant]] = []
         self._orders: list[str] = []
         self._parameters: dict[str, float] = {}
         self._wake = threading.Event()
@@ -190,6 +197,9 @@ class ControlNode:
         mount = lidar_mount(settings)
         subscribe_scan(link, settings, pilot.sensor, mount, no_echo, self._take_scan)
         subscribe_pose(link, settings, self._take_pose)
+        self._battery = pilot.task.perception.part(Battery)
+        if self._battery is not None:
+            subscribe_battery(link, settings, self._take_battery)
         if isinstance(pilot.task, Following):
             link.subscribe(ros.Path, settings.path_topic, partial(self._take_path, pilot.task))
         link.subscribe(ros.String, "~/command", self._take_order)
@@ -237,6 +247,10 @@ class ControlNode:
         self._silence.hear(self._pose_topic)
         with self._lock:
             self._poses.append(pose)
+
+    def _take_battery(self, share: float, received: Instant) -> None:
+        with self._lock:
+            self._shares.append((share, received))
 
     def _take_path(self, task: Following, message: Any) -> None:
         frame, poses = map_messages.path_of(message)
@@ -358,6 +372,7 @@ class ControlNode:
         with self._lock:
             poses, self._poses = self._poses, []
             scans, self._scans = self._scans, []
+            shares, self._shares = self._shares, []
             orders, self._orders = self._orders, []
             parameters, self._parameters = self._parameters, {}
         pilot = self.pilot
@@ -366,6 +381,9 @@ class ControlNode:
             pilot.add_odometry(pose.time, pose.pose, pose.twist, pose.received)
         for scan in scans:
             pilot.add_scan(scan.time, scan.scan, scan.points, scan.received, scan.sweep)
+        for share, received in shares:
+            assert self._battery is not None
+            pilot.add_look(Battery.name, share * float(self._battery.capacity), received)
         if parameters:
             pilot.controller = set_parameters(pilot.controller, parameters)
         for order in orders:

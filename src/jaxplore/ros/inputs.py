@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from jaxplore.onboard.drive_clock import Instant
 from jaxplore.ros import messages
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
@@ -154,6 +155,21 @@ def _subscribe_transforms(
     for topic, is_static in (("/tf", False), ("/tf_static", True)):
         handle = partial(hear, is_static=is_static)
         link.subscribe(ros.TFMessage, topic, handle, is_kept=is_static, depth=TRANSFORMS_KEPT)
+
+
+def subscribe_battery(
+    link: Link, settings: NodeSettings, take: Callable[[float, Instant], None]
+) -> None:
+    """Subscribe to the battery; `take` gets the share that is left, and when it was heard.
+
+    Messages that are malformed give a warning.
+    """
+
+    def take_battery(message: Any) -> None:
+        if message.present:
+            take(messages.battery_share_of(message), link.instant())
+
+    link.subscribe(link.ros.BatteryState, link.topic(settings.battery_topic), take_battery)
 
 
 def subscribe_scan(

@@ -25,7 +25,7 @@ MESSAGES = {
     ),
     "nav_msgs": ("OccupancyGrid", "Odometry", "Path"),
     "rcl_interfaces": ("SetParametersResult",),
-    "sensor_msgs": ("LaserScan",),
+    "sensor_msgs": ("BatteryState", "LaserScan"),
     "std_msgs": ("String",),
 }
 """Packages of messages that every mode needs, and their messages."""

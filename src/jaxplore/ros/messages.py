@@ -45,6 +45,8 @@ class Odometry(NamedTuple):
     received: Instant | None = None
 
 
+MOST_SHARE = 1.05
+"""Greatest share of a battery's capacity that is taken for a full one."""
 LONGEST_SWEEP = 1.0
 """Longest time of a scan that is believed [s]."""
 
@@ -64,6 +66,26 @@ class LaserScan(NamedTuple):
     points: np.ndarray
     received: Instant | None = None
     sweep: Sweep | None = None
+
+
+def battery_share_of(message: Any) -> float:
+    """Return the share of its capacity that is left in a battery, of a `sensor_msgs/BatteryState`.
+
+    It is `percentage`, which is a share from 0 to 1 in ROS, and where that is not measured, NaN,
+    `charge` by `capacity` or else by `design_capacity` [Ah]. Another share is a `ValueError`.
+    """
+    share = float(message.percentage)
+    if math.isnan(share):
+        wholes = (float(message.capacity), float(message.design_capacity))
+        whole = next((each for each in wholes if each > 0.0), math.nan)
+        share = float(message.charge) / whole
+    # Measured by the voltage it may be a little above 1.
+    if not 0.0 <= share <= MOST_SHARE:
+        raise ValueError(
+            f"percentage of a battery is {share:g}; accepted: a share from 0 to 1, or NaN beside "
+            "charge and capacity"
+        )
+    return min(share, 1.0)
 
 
 class Mount(NamedTuple):

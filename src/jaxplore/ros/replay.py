@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from jaxplore.onboard.drive_clock import Instant
 from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
+from jaxplore.parts.battery.robot import Battery
 from jaxplore.ros import messages
 from jaxplore.ros.bag import BagMessage, bag_topics, choose_topic, read_bag
 from jaxplore.ros.messages import Mount
@@ -99,11 +100,17 @@ def replay(
     absent, the rule `auto` does. `on_progress` gets the recorded time since the first message [s].
 
     Raises:
-        ValueError: a bag that cannot be read; transforms without a frame of a robot.
+        ValueError: a bag that cannot be read; transforms without a frame of a robot; a robot with a
+            battery, and no single topic of its charge.
     """
     no_echo = NoEcho() if no_echo is None else no_echo
     chain = _Chain.of(path) if bag_topics(path)[pose].kind == "TFMessage" else None
     topics = [scan, pose] if chain is None else [scan, *chain.topics]
+    # The charge decides when the robot returns, so the drive of one with a battery tells it.
+    part, battery = pilot.task.perception.part(Battery), None
+    if part is not None:
+        battery = choose_topic(bag_topics(path), "BatteryState")
+        topics.append(battery)
     began: float | None = None
     due, now, skipped, number, malformed, reason = 0.0, 0.0, 0.0, 0, 0, ""
     times: list[float] = []
@@ -123,7 +130,10 @@ def replay(
         on_progress(each.time - began)
         number += 1
         try:
-            if chain is not None and each.topic != scan:
+            if part is not None and each.topic == battery:
+                energy = messages.battery_share_of(each.message) * float(part.capacity)
+                pilot.add_look(part.name, energy, Instant(each.time - skipped))
+            elif chain is not None and each.topic != scan:
                 chain.feed(pilot, each, skipped)
             else:
                 _feed(pilot, each.topic == scan, each, skipped, mount, no_echo)

@@ -18,7 +18,8 @@ NODE = "jaxplore_robot"
 """Name of the node."""
 SCAN_TOPIC, ODOMETRY_TOPIC, COMMAND_TOPIC = "scan", "odom", "cmd_vel"
 MAP_TOPIC, POSE_TOPIC = "map", "pose"
-"""Topics, relative to the namespace of the node; the last two are those of `slam_toolbox`."""
+BATTERY_TOPIC = "battery_state"
+"""Topics, relative to the namespace of the node; map and pose are those of `slam_toolbox`."""
 MAP_FRAME, WORLD_FRAME, ROBOT_FRAME, LIDAR_FRAME = "map", "odom", "base_link", "base_scan"
 """Frames: of the map, in which the true pose is, of the odometry, of the robot and of its lidar."""
 MAP_SECONDS, STATE_SECONDS = 1.0, 0.5
@@ -50,6 +51,9 @@ class RobotNode:
         self._map = link.publisher(ros.OccupancyGrid, MAP_TOPIC, is_kept=True) if has_map else None
         self._pose = link.publisher(ros.PoseWithCovarianceStamped, POSE_TOPIC) if has_map else None
         self._state = link.publisher(ros.String, "~/state")
+        self._battery: Any = None
+        if robot.charge is not None:
+            self._battery = link.publisher(ros.BatteryState, BATTERY_TOPIC)
         self._transforms: Any = None
         if ros.TFMessage is not None:
             self._transforms = link.publisher(ros.TFMessage, "/tf")
@@ -122,6 +126,7 @@ class RobotNode:
             if robot.time >= next_state:
                 next_state = robot.time + STATE_SECONDS
                 self._publish_state()
+                self._publish_battery(now)
                 self._warn_of_types()
                 on_progress(
                     robot.time / time_limit,
@@ -185,6 +190,16 @@ class RobotNode:
             }
         )
         self._state.publish(message)
+
+    def _publish_battery(self, now: float) -> None:
+        """Publish the charge, if the robot has a battery."""
+        charge = self.robot.charge
+        if self._battery is None or charge is None:
+            return
+        message = self.link.ros.BatteryState()
+        messages.fill_header(message.header, now, self.link.frame(ROBOT_FRAME))
+        message.percentage, message.present = charge, True
+        self._battery.publish(message)
 
     def _publish_map(self, now: float) -> None:
         assert self._map is not None

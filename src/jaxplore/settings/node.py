@@ -79,6 +79,7 @@ class NodeSettings(Section):
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
         pose_type: type of the pose's messages; `tf` follows the transforms from `world_frame` to
             `robot_frame`.
+        battery_topic: topic of the charge, `sensor_msgs/BatteryState`, for runs with a battery.
         command_topic: topic of the commands.
         command_type: type of the commands; `auto` takes the one that the robot listens to, and
             `twist` where none does.
@@ -113,6 +114,7 @@ class NodeSettings(Section):
     scan_topic: Topic = "scan"
     pose_topic: Annotated[Topic, EVERY] = "odom"
     pose_type: Annotated[Literal["odometry", "pose", "tf"], EVERY] = "odometry"
+    battery_topic: Topic = "battery_state"
     command_topic: Topic = "cmd_vel"
     command_type: Literal["auto", "twist", "twist_stamped"] = "auto"
     world_frame: Annotated[str, EVERY] = "odom"
@@ -131,6 +133,7 @@ class NodeSettings(Section):
     max_age: Positive = setting(PilotOptions, "max_age")
     max_frozen: Positive = setting(PilotOptions, "max_frozen")
     max_jump: Positive = setting(PilotOptions, "max_jump")
+    max_look_age: Positive = setting(PilotOptions, "max_look_age")
     max_deceleration: Positive = setting(PilotOptions, "max_deceleration")
     max_angular_deceleration: Positive = setting(PilotOptions, "max_angular_deceleration")
     margin: NonNegative = setting(PilotOptions, "margin")

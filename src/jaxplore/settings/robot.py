@@ -8,7 +8,6 @@ from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.dynamics.omnidirectional import Omnidirectional
 from jaxplore.dynamics.quadrotor import Quadrotor
-from jaxplore.geometry.chassis import Chassis
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
@@ -101,22 +100,6 @@ class RobotSettings(Section):
 
 
 TiltDegrees = Annotated[float, Field(ge=-28, le=28)]
-
-
-class ChassisSettings(Section):
-    """The wheels and the centre of mass of a vehicle: see `jaxplore.geometry.Chassis`.
-
-    Args:
-        wheelbase: distance between the axles [m]; when absent that of a car, and of another robot
-            the side of the square in its disc.
-        track: distance between the left and the right wheels [m]; when absent the width of an
-            `ackermann`, and of another robot the side of the square in its disc.
-    """
-
-    wheelbase: Body | None = None
-    track: Body | None = None
-    mass_height: Body = setting(Chassis, "mass_height")
-    suspension: Body = setting(Chassis, "suspension")
 
 
 MountLength = Annotated[float, Field(ge=-MOST_MOUNT, le=MOST_MOUNT)]

@@ -151,11 +151,10 @@ def _places(task: str) -> tuple[str, ...]:
 
 def _sections(section: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the names and the meanings of the sections within one, outer ones first."""
-    described = own_descriptions(section)
     for name, field in section.model_fields.items():
         inner = section_class(field.annotation)
         if inner is not None:
-            yield prefix + name, description_in(described, name)
+            yield prefix + name, setting_meaning(section, name)
             yield from _sections(inner, f"{prefix}{name}.")
 
 

@@ -22,23 +22,17 @@ from jaxplore.dynamics.kinematic_bicycle import KinematicBicycle
 from jaxplore.dynamics.omnidirectional import Omnidirectional
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
-from jaxplore.geometry.chassis import Chassis
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.datum import ORIGIN, Datum
-from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.parts.keep_out.robot import KeepOut
-from jaxplore.parts.recognition.robot import Recognition
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
-from jaxplore.sensing.detector import Detector
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.lidar_errors import LidarErrors
 from jaxplore.sensing.mount import LidarMount
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.keep_out import KeepOutSettings
-from jaxplore.settings.robot import CARS, ChassisSettings, RobotSettings, SensorModelSettings
+from jaxplore.settings.robot import RobotSettings, SensorModelSettings
 from jaxplore.settings.sections import (
     AdaptiveHorizonSettings,
     FaultSettings,
@@ -48,7 +42,7 @@ from jaxplore.settings.sections import (
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.simulation.variation import Variation
-from jaxplore.tasks.exploration.settings import DetectorSettings, Settings
+from jaxplore.tasks.exploration.settings import Settings
 from jaxplore.tasks.user_code import import_robot
 
 
@@ -117,43 +111,6 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
             **wheeled, min_speed=given.min_speed, max_lateral_speed=given.max_lateral_speed
         )
     return DifferentialDrive(**wheeled)
-
-
-def build_chassis(
-    given: ChassisSettings | None, robot: RobotSettings, radius: float
-) -> Chassis | None:
-    """Build the wheels and the centre of mass of the robot; None for one that cannot tip over.
-
-    `radius` is that of the discs that cover it [m]. A robot that flies has no chassis.
-    """
-    if given is None:
-        return None
-    if robot.model == "quadrotor":
-        raise ValueError("setting chassis is given beside a quadrotor; accepted: null")
-    side = math.sqrt(2.0) * radius
-    wheelbase = given.wheelbase or (robot.wheelbase if robot.model in CARS else side)
-    return Chassis(
-        wheelbase,
-        given.track or (robot.width if robot.model == "ackermann" else side),
-        # The position of an `ackermann` is the middle of its rear axle.
-        offset=0.5 * wheelbase if robot.model == "ackermann" else 0.0,
-        **arguments(given, Chassis),
-    )
-
-
-def build_keep_out(given: KeepOutSettings | None, datum: Datum) -> KeepOut | None:
-    """Build the areas that a robot must not enter; None without any."""
-    if given is None:
-        return None
-    areas = [datum.to_local([list(corner) for corner in area]) for area in given.areas]
-    mask = None if given.mask is None else OccupancyGrid.from_ros(given.mask, datum=datum)
-    return KeepOut(areas, mask)
-
-
-def build_recognition(given: DetectorSettings) -> Recognition:
-    """Build the detector of objects, and the update of their classes."""
-    detector = Detector(given.classes, given.confusion, **arguments(given, Detector))
-    return Recognition(detector, **arguments(given, Recognition))
 
 
 def build_faults(given: FaultSettings, datum: Datum = ORIGIN) -> Faults | None:

@@ -34,6 +34,7 @@ class PlantedAnomalies(PartTruth):
     """
 
     name: ClassVar[str] = AnomalyTest.name
+    is_default: ClassVar[bool] = True
 
     boxes: Float[Array, "P 4"]
     kinds: Int[Array, " P"]

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxplore import _checks, _kinds
+from jaxplore._trees import with_field
 from jaxplore._types import ArrayLike, Flag, Position, Scalar, Vector
 from jaxplore.belief.part import Errand, Part
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -93,6 +94,7 @@ class Battery(Part):
     reserve: Scalar
     enough: Scalar
     cruise: Scalar
+    is_placed: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -118,6 +120,7 @@ class Battery(Part):
         least = None if _kinds.is_traced(reserve) else float(self.reserve)
         self.enough = _checks.scalar("enough", enough, above=least, at_most=0.99)
         self.cruise = _checks.scalar("cruise", cruise, above=0.0)
+        self.is_placed = True
 
     def init(self, grid: OccupancyGrid) -> Charge:
         """Return a full battery; a robot on board begins at (0, 0)."""
@@ -127,6 +130,14 @@ class Battery(Part):
         """Return the state with an energy [J] of a robot that begins at `start` [m]."""
         dock = start if self.dock is None else self.dock
         return Charge(energy, dock, jnp.array(False))
+
+    def unplaced(self) -> "Battery":
+        """Return a battery whose dock is not yet in the coordinates of the robot."""
+        return with_field(self, "is_placed", False)
+
+    def locate(self, own: Charge, grid: OccupancyGrid, origin: Position) -> Charge:
+        """Return the state with the dock in coordinates that begin at `origin`."""
+        return own if self.dock is None else own._replace(dock=self.dock - origin)
 
     def look(self, own: Charge, measured: Scalar, time: Scalar) -> Charge:
         """Return the state after a measurement of the energy that is left [J]."""

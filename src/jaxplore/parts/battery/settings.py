@@ -1,12 +1,12 @@
-"""Settings of a battery, and the part and the truth that they describe."""
+"""Settings of a battery and its dock."""
 
 from typing import Annotated
 
 from pydantic import Field
 
-from jaxplore.maps.datum import Datum
 from jaxplore.parts.battery.robot import Battery
 from jaxplore.parts.battery.truth import TrueBattery
+from jaxplore.parts.capability import Built, Capability, Surroundings
 from jaxplore.settings.defaults import arguments, setting
 from jaxplore.settings.sections import NonNegative, Positive, Real, Section, Share
 
@@ -30,8 +30,16 @@ class BatterySettings(Section):
     charge: Share = setting(TrueBattery, "charge")
 
 
-def build_battery(given: BatterySettings, datum: Datum) -> tuple[Battery, TrueBattery]:
+def build_battery(given: BatterySettings, around: Surroundings) -> Built:
     """Build the part on board and its truth."""
-    dock = None if given.dock is None else datum.to_local(given.dock)
+    dock = None if given.dock is None else around.datum.to_local(given.dock)
     battery = Battery(dock, **arguments(given, Battery))
-    return battery, TrueBattery(battery, **arguments(given, TrueBattery))
+    return Built(battery, TrueBattery(battery, **arguments(given, TrueBattery)))
+
+
+BATTERY = Capability(
+    name="battery",
+    meaning="the robot's battery and its dock; it never runs down when absent.",
+    settings=BatterySettings,
+    build=build_battery,
+)

@@ -70,7 +70,7 @@ class TrueBattery(PartTruth):
     def bind(self, site: Site) -> "TrueBattery":
         """Check that the robot can reach its dock with its charge."""
         battery = self.battery
-        if battery.dock is None:
+        if battery.dock is None or not battery.is_placed:
             return self
         place = np.asarray(battery.dock)
         check_goal(

@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_NAMES
-from jaxplore._types import GridMask, Rows, Scalar
+from jaxplore._trees import with_field
+from jaxplore._types import GridMask, Position, Rows, Scalar
 from jaxplore.belief.part import Part
 from jaxplore.geometry.outlines import Outlines, nearest
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
@@ -45,6 +47,7 @@ class KeepOut(Part):
 
     outlines: Outlines
     mask: OccupancyGrid | None
+    is_placed: bool = eqx.field(static=True)
 
     @_kinds.check_arguments
     def __init__(self, areas: Sequence[Rows] = (), mask: OccupancyGrid | None = None) -> None:
@@ -53,10 +56,24 @@ class KeepOut(Part):
         if mask is None and not len(areas):
             raise ValueError("areas is empty without a mask; accepted: polygons, or a mask")
         self.outlines, self.mask = Outlines.polygons(areas, named="areas"), mask
+        self.is_placed = True
 
     def init(self, grid: OccupancyGrid) -> GridMask:
         """Return the closed cells (H, W) of a map."""
-        centres = cell_centres(grid)
+        if not self.is_placed:
+            return jnp.zeros(grid.shape, bool)
+        return self._close(grid, cell_centres(grid))
+
+    def unplaced(self) -> "KeepOut":
+        """Return areas that close nothing before they are located."""
+        return with_field(self, "is_placed", False)
+
+    def locate(self, own: GridMask, grid: OccupancyGrid, origin: Position) -> GridMask:
+        """Return the closed cells (H, W) of a map whose coordinates begin at `origin`."""
+        return self._close(grid, cell_centres(grid) + origin)
+
+    def _close(self, grid: OccupancyGrid, centres: Float[Array, "H W 2"]) -> GridMask:
+        """Return the closed cells (H, W), whose centres are in the coordinates of the areas."""
         reach = CORNER * grid.resolution
 
         def close(so_far: GridMask, area: tuple[Array, Scalar]) -> tuple[GridMask, None]:

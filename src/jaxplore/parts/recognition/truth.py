@@ -39,6 +39,7 @@ class Objects(PartTruth):
     """
 
     name: ClassVar[str] = Recognition.name
+    is_default: ClassVar[bool] = True
 
     given: HostOnly[tuple[LabelledObject, ...]]
 

@@ -15,6 +15,8 @@ class WatchTruth(PartTruth):
     """Judges how well a robot with an `IdlenessMap` patrols."""
 
     name: ClassVar[str] = IdlenessMap.name
+    is_default: ClassVar[bool] = True
+    objective: ClassVar[str | None] = "watch.mean_idleness"
     is_judging: ClassVar[bool] = True
 
     has_targets: bool = False

@@ -1,6 +1,7 @@
 """When an exploration is finished or given up, and what counts then."""
 
 import math
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -94,10 +95,15 @@ def is_finished(
     return is_there & is_covered
 
 
-def default_objective(num_targets: int, goal: Position | None, target: str) -> str:
-    """Return the default objective: time to the end, or the idleness of a patrol, plus contacts."""
+def default_objective(
+    num_targets: int, goal: Position | None, target: str, endless: Sequence[str]
+) -> str:
+    """Return the default objective: time to the end, plus contacts.
+
+    For a run without an end it is the first of the metrics `endless`, if there are any.
+    """
     if num_targets:
         return "last_target_at + 100*collisions"
-    if goal is None and target == NEVER:
-        return "watch.mean_idleness + 100*collisions"
+    if goal is None and target == NEVER and endless:
+        return f"{endless[0]} + 100*collisions"
     return "finished_at + 100*collisions"

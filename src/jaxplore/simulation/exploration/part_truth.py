@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxplore import _kinds
 from jaxplore._types import ControlVector, Flag, GridMask, Key, Pose, Scalar, StateVector
+from jaxplore.belief.part import Part
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.datum import Datum
@@ -72,6 +74,10 @@ class PartTruth(eqx.Module):
     """Name: that of the robot's `Part`, if there is one."""
     needs_part: ClassVar[bool] = True
     """Whether it is the truth of a `Part` that the robot must have."""
+    is_default: ClassVar[bool] = False
+    """Whether a robot with the part has it where no other is given; it is made of no arguments."""
+    objective: ClassVar[str | None] = None
+    """Metric that a search makes small where the run has no end, such as `watch.mean_idleness`."""
     is_moving: ClassVar[bool] = False
     """Whether where the robot gets to depends on it."""
     is_judging: ClassVar[bool] = False
@@ -203,3 +209,31 @@ class PartTruth(eqx.Module):
             grid: the robot's map.
         """
         return None
+
+
+def as_truths(truths: Sequence[PartTruth], parts: Sequence[Part]) -> tuple[PartTruth, ...]:
+    """Return the truths of a robot's parts in the order of the parts, and then the others.
+
+    Raises:
+        ValueError: something that is no truth, two of one name, or one of a part that the robot
+            does not have.
+    """
+    _kinds.instances("truths", truths, PartTruth)
+    given: dict[str, PartTruth] = {}
+    names = [part.name for part in parts]
+    defaults = {each.name: each for each in PartTruth.__subclasses__() if each.is_default}
+    for index, each in enumerate(truths):
+        if each.name in given:
+            raise ValueError(
+                f"truths[{index}] is a second {each.name!r}; accepted: one truth of a name"
+            )
+        if each.needs_part and each.name not in names:
+            raise ValueError(
+                f"truths[{index}] is a {type(each).__name__}, and the perception has no part "
+                f"{each.name!r}; accepted: truths of its parts"
+            )
+        given[each.name] = each
+    of_parts = [
+        given.get(name) or defaults[name]() for name in names if name in {*given, *defaults}
+    ]
+    return (*of_parts, *(each for name, each in given.items() if name not in names))

@@ -47,7 +47,6 @@ from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
-from jaxplore.parts.truths import as_truths
 from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -77,7 +76,7 @@ from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
-from jaxplore.simulation.exploration.part_truth import PartTruth, Site
+from jaxplore.simulation.exploration.part_truth import PartTruth, Site, as_truths
 from jaxplore.simulation.exploration.progress import MapSums
 from jaxplore.simulation.exploration.rates import Rates
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
@@ -391,8 +390,9 @@ class ExplorationScenario(Scenario):
 
     @property
     def objective(self) -> str:
-        """Default objective: time to the end, or the idleness of a patrol, plus contacts."""
-        return default_objective(self.num_targets, self.goal, self.target)
+        """Default objective: time to the end, or what is true of a part says, plus contacts."""
+        endless = [each.objective for each in self.truths if each.objective is not None]
+        return default_objective(self.num_targets, self.goal, self.target, endless)
 
     @property
     def metric_groups(self) -> tuple[str, ...]:

@@ -42,7 +42,6 @@ from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_up
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.maps.window import read_first
-from jaxplore.parts.keep_out.boxes import KeepOutBoxes
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
@@ -59,6 +58,8 @@ from jaxplore.simulation.state import Moment
 from jaxplore.simulation.volume.observable import find_fitting_places, observable
 from jaxplore.simulation.volume.people import Cylinders
 
+KEEP_OUT = "keep_out"
+"""Name of the part of boxes that the robot must not enter."""
 TOUCHING = 1.0
 """Reach of the box in which the distance to solid voxels is examined [m]."""
 
@@ -511,19 +512,17 @@ class VolumeScenario(Scenario):
         return local.move(self.datum.offset)
 
     @property
-    def keep_out(self) -> KeepOutBoxes | None:
-        """Boxes that the robot must not enter; None without any."""
-        for part in self.perception.parts:
-            if isinstance(part, KeepOutBoxes):
-                return part
-        return None
+    def keep_out(self) -> Any:
+        """The part of the boxes that the robot must not enter; None without any."""
+        return next((part for part in self.perception.parts if part.name == KEEP_OUT), None)
 
     def _is_barred(self, state: StateVector) -> Flag | None:
         """Check whether a part of the robot is in a keep-out box; None without any."""
         boxes = self.keep_out
         if boxes is None:
             return None
-        return boxes.distance(position_upwards(state)) < self.robot.radius
+        is_barred: Flag = boxes.distance(position_upwards(state)) < self.robot.radius
+        return is_barred
 
     def _is_there(self, check: GoalCheck, state: VolumeState) -> Flag:
         """Check whether the robot has come to rest at its goal."""

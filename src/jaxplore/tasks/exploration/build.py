@@ -13,28 +13,26 @@ from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
-from jaxplore.parts.anomalies.robot import AnomalyTest
-from jaxplore.parts.battery.settings import build_battery
-from jaxplore.parts.recognition.truth import Objects
-from jaxplore.parts.watch.robot import IdlenessMap
-from jaxplore.parts.wheels.truth import Wheels
+from jaxplore.parts.registry import Equipment, build_parts
 from jaxplore.sensing.base import Sensor
 from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
-from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.tasks.exploration.controllers import build_controller, build_occlusion_cost
 from jaxplore.tasks.exploration.fleet import build_fleet
 from jaxplore.tasks.exploration.localisation import build_localisation
 from jaxplore.tasks.exploration.settings import Settings, make_exploration_settings
-from jaxplore.tasks.exploration.world import RunWorld, build_world, expects_people, is_ros_map
+from jaxplore.tasks.exploration.world import (
+    RunWorld,
+    build_world,
+    expects_people,
+    is_ros_map,
+    surroundings,
+)
 from jaxplore.tasks.robot import (
-    build_chassis,
     build_faults,
-    build_keep_out,
-    build_recognition,
     build_robot,
     build_sensor_model,
     build_sensors,
@@ -78,7 +76,10 @@ def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment
 def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> ExplorationScenario:
     """Build the scenario that settings describe in a world that is given; see `build_in`."""
     sensors = build_sensors(settings)
-    perception = _perception(settings, robot, world, sensors)
+    equipment = build_parts(settings, surroundings(settings, world, robot))
+    if not world.is_placed:
+        equipment = Equipment(tuple(part.unplaced() for part in equipment.parts), ())
+    perception = _perception(settings, robot, world, sensors, equipment.parts)
     ground = world.ground
     scenario = ExplorationScenario(
         world.grid if ground is None else TerrainMap(world.grid, ground),
@@ -95,7 +96,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         localisation=build_localisation(
             settings, sensors[0], world.grid.resolution, is_map_known=world.prior is not None
         ),
-        truths=_truths(settings, robot, world),
+        truths=equipment.truths,
         datum=world.datum,
         **{
             **arguments(settings, ExplorationScenario),
@@ -119,7 +120,11 @@ def _choose_max_unknown(settings: Settings) -> float | None:
 
 
 def _perception(
-    settings: Settings, robot: Dynamics, world: RunWorld, sensors: tuple[Sensor, ...]
+    settings: Settings,
+    robot: Dynamics,
+    world: RunWorld,
+    sensors: tuple[Sensor, ...],
+    parts: tuple[Part, ...],
 ) -> Perception:
     goal = None if world.goal is None else world.goal[:2]
     # When absent, the default of `Perception` applies, not that of the scenario.
@@ -134,7 +139,7 @@ def _perception(
         goal=goal,
         goal_heading=None if goal is None else settings.goal_heading,
         ground=world.ground,
-        parts=_parts(settings, world),
+        parts=parts,
         # Only the portfolio has an objective that reads the cost to go to the goal on its own.
         is_goal_apart=settings.architecture == "portfolio"
         and goal is not None
@@ -145,39 +150,6 @@ def _perception(
         **arguments(settings.fields, Perception),
         **unknown,
     )
-
-
-def _parts(settings: Settings, world: RunWorld) -> list[Part]:
-    """Build what the robot has beside its map."""
-    watch, test, parts = settings.watch, settings.anomalies, list[Part]()
-    if watch is not None:
-        parts.append(IdlenessMap(**arguments(watch, IdlenessMap)))
-    if test is not None:
-        parts.append(AnomalyTest(forbidden=world.forbidden, **arguments(test, AnomalyTest)))
-    keep_out = build_keep_out(settings.keep_out, world.datum)
-    if keep_out is not None:
-        parts.append(keep_out)
-    if settings.detector is not None:
-        parts.append(build_recognition(settings.detector))
-    if settings.battery is not None:
-        parts.append(build_battery(settings.battery, world.datum)[0])
-    return parts
-
-
-def _truths(settings: Settings, robot: Dynamics, world: RunWorld) -> list[PartTruth]:
-    """Build what is true of the robot's parts, and of the vehicle."""
-    truths = list[PartTruth]()
-    if settings.anomalies is not None and world.planted is not None:
-        truths.append(world.planted)
-    # Without a detector, objects other than the targets mean nothing to the robot.
-    if settings.detector is not None:
-        truths.append(Objects(world.objects))
-    chassis = build_chassis(settings.chassis, settings.robot, float(robot.radius))
-    if chassis is not None:
-        truths.append(Wheels(chassis))
-    if settings.battery is not None:
-        truths.append(build_battery(settings.battery, world.datum)[1])
-    return truths
 
 
 def with_start(entries: dict[str, Any]) -> dict[str, Any]:

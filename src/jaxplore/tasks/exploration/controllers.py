@@ -10,7 +10,7 @@ from jaxplore.control.base import Controller
 from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.integrators import Euler
-from jaxplore.geometry.chassis import Chassis
+from jaxplore.parts.registry import control_arguments
 from jaxplore.planning.portfolio.contextual import ROLES, Contextual
 from jaxplore.planning.portfolio.fusion import Fusion
 from jaxplore.planning.portfolio.portfolio import Portfolio
@@ -36,8 +36,8 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.tasks.exploration.fleet import cost_of_others, has_others
 from jaxplore.tasks.exploration.localisation import uncertain_robot
 from jaxplore.tasks.exploration.settings import Settings
-from jaxplore.tasks.exploration.world import RunWorld, expects_people
-from jaxplore.tasks.robot import build_chassis, build_robot
+from jaxplore.tasks.exploration.world import RunWorld, expects_people, surroundings
+from jaxplore.tasks.robot import build_robot
 from jaxplore.tasks.user_code import import_controller, import_rule
 
 
@@ -52,26 +52,26 @@ def build_controller(
     """
     robot, perception = scenario.robot, scenario.perception
     _check_errands(settings, scenario)
-    chassis = build_chassis(settings.chassis, settings.robot, float(robot.radius))
-    moving: dict[str, Any] = {
+    told = control_arguments(settings, surroundings(settings, world, robot))
+    options: dict[str, Any] = {
         "has_moving_obstacles": _has_moving(settings, world),
         "occlusion_cost": build_occlusion_cost(settings, world),
         "moving_obstacle_cost": cost_of_others(settings),
+        **told,
     }
     if settings.architecture == "explorer":
         uncertain = uncertain_robot(scenario, settings.rates.sensing)
         given = settings.localisation
         controller = explorer(
             robot,
-            chassis=chassis,
             uncertain=uncertain,
             **({} if given is None else arguments(given, explorer)),
-            **moving,
+            **options,
             **arguments(settings.controller, explorer),
         )
         return controller if uncertain is None else UncertaintyAware(controller)
     if settings.architecture == "portfolio":
-        return _portfolio(settings, world, chassis)
+        return _portfolio(settings, world, told)
     own = import_rule(settings.architecture) if is_own(settings.architecture) else None
     if own is not None or settings.architecture in BASELINES:
         return target_explorer(
@@ -81,8 +81,7 @@ def build_controller(
             world.grid,
             # A choice is due when the fields that it reads are new.
             every=max(1, round(settings.rates.control / settings.rates.fields)),
-            chassis=chassis,
-            **moving,
+            **options,
             **arguments(settings.controller, explorer),
         )
     if is_own(settings.architecture):
@@ -186,7 +185,7 @@ def _zone_choice(
     )
 
 
-def _portfolio(settings: Settings, world: RunWorld, chassis: Chassis | None) -> Portfolio:
+def _portfolio(settings: Settings, world: RunWorld, told: dict[str, Any]) -> Portfolio:
     given = settings.portfolio
     # The way back is the guidance's, once nothing is left to learn.
     goal = None if world.goal is None or settings.returns else world.goal[:2]
@@ -198,7 +197,7 @@ def _portfolio(settings: Settings, world: RunWorld, chassis: Chassis | None) -> 
             has_terrain=world.ground is not None,
             has_moving_obstacles=_has_moving(settings, world),
             occlusion_cost=build_occlusion_cost(settings, world),
-            chassis=chassis,
+            **told,
         ),
         members=given.members if given.weights is None else given.weights,
         fusion=_fusion(settings, goal),

@@ -17,7 +17,7 @@ from jaxplore.tasks.exploration.settings import (
     OFFICE,
     SCENARIOS,
     ZONES,
-    Settings,
+    ExplorationSettings,
     is_scenario_file,
     make_exploration_settings,
 )
@@ -41,7 +41,7 @@ EXPLORATION = Kind(
     title="Exploration",
     place="on a map",
     selector="map",
-    settings=Settings,
+    settings=ExplorationSettings,
     check=make_exploration_settings,
     build=build_exploration,
     needs=estimate_exploration,

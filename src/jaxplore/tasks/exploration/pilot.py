@@ -16,6 +16,7 @@ from jaxplore.onboard.goals import GoalChooser
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.parameters import set_parameters
+from jaxplore.parts.registry import CAPABILITIES
 from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.robot.localisation import Localisation
@@ -32,8 +33,9 @@ from jaxplore.tasks.robot import build_robot, build_sensor_model, build_sensors
 from jaxplore.tasks.user_code import import_rule
 
 NO_PART = (
-    *("map", "is_map_known", "world", "start", "goal", "office", "terrain", "camera", "watch"),
+    *("map", "is_map_known", "world", "start", "goal", "office", "terrain", "camera"),
     *("altitude", "faults", "variation", "latency", "guard"),
+    *(each.name for each in CAPABILITIES if not each.is_on_board),
 )
 """Settings of a simulated world, and of parts that a pilot does not have or has of its own."""
 
@@ -62,6 +64,11 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
     # The office stands in for the map: a robot finds its own.
     # The guard is that of a simulated robot: a pilot has its own checks.
     settings = make_exploration_settings({**given, "map": OFFICE, "guard": False})
+    if settings.fleet is not None:
+        raise ValueError(
+            f"setting fleet.robots is {settings.fleet.robots}; accepted: no section fleet, for "
+            "each robot of a fleet has a node of its own"
+        )
     check_no_mount(settings, "node.lidar_x, node.lidar_y and node.lidar_yaw_degrees")
     return settings, node
 
@@ -125,7 +132,7 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
     grid = OccupancyGrid(
         np.zeros((cells, cells), np.float32), settings.resolution, (-0.5 * side, -0.5 * side, 0.0)
     )
-    world = RunWorld(grid, (0.0, 0.0, 0.0))
+    world = RunWorld(grid, (0.0, 0.0, 0.0), is_placed=False)
     key = jax.random.key(settings.seed)
     options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
     if node.mode == "follow":

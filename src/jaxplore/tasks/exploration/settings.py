@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from jaxplore._limits import MOST_NAMES
 from jaxplore._spelling import match_spelling
 from jaxplore.belief.perception import Perception
 from jaxplore.maps.files.ros import MapRules
@@ -16,18 +15,13 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import is_world_file
-from jaxplore.parts.anomalies.robot import AnomalyTest
-from jaxplore.parts.battery.settings import BatterySettings
-from jaxplore.parts.recognition.robot import Recognition
-from jaxplore.parts.watch.robot import IdlenessMap
+from jaxplore.parts.registry import with_capabilities
 from jaxplore.planning.presets.flight import Flight
-from jaxplore.sensing.detector import Detector
 from jaxplore.settings.architectures import ARCHITECTURES, QUADROTOR
 from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.fleet import FleetSettings
-from jaxplore.settings.keep_out import KeepOutSettings
 from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.people import PeopleSettings
@@ -36,7 +30,6 @@ from jaxplore.settings.robot import (
     CARS,
     GROUND_ROBOTS,
     CameraSettings,
-    ChassisSettings,
     LidarSettings,
     RobotSettings,
     SensorModelSettings,
@@ -47,9 +40,7 @@ from jaxplore.settings.sections import (
     Duration,
     Fraction,
     Length,
-    Looks,
     Margin,
-    NonNegative,
     Positive,
     Probability,
     Rate,
@@ -73,9 +64,6 @@ ZONES = "zones"
 
 SCENARIOS = ("warehouse", "search-rescue", "perimeter")
 """Scenarios for ground vehicles: settings with a world, in `scenarios/`."""
-
-Names = Annotated[tuple[str, ...], Field(max_length=MOST_NAMES)]
-Fractions = Annotated[tuple[Fraction, ...], Field(max_length=MOST_NAMES)]
 
 
 def _is_office(settings: Any) -> bool:
@@ -122,51 +110,6 @@ class OfficeSettings(Section):
     height: Width = setting(office, "height")
 
 
-class WatchSettings(Section):
-    """The idleness map, for search and patrol: see `jaxplore.parts.IdlenessMap`."""
-
-    memory: Positive | None = setting(IdlenessMap, "memory")
-    weight: NonNegative = setting(IdlenessMap, "weight")
-    doubling: Positive | None = setting(IdlenessMap, "doubling")
-
-
-class AnomalySettings(Section):
-    """The test for what differs from the known map: see `jaxplore.parts.AnomalyTest`."""
-
-    false_alarms: Probability = setting(AnomalyTest, "false_alarms")
-    outliers: Probability = setting(AnomalyTest, "outliers")
-    near: Length = setting(AnomalyTest, "near")
-    baseline: NonNegative = setting(AnomalyTest, "baseline")
-    looks: Looks = setting(AnomalyTest, "looks")
-    expiry: Positive = setting(AnomalyTest, "expiry")
-    attention: Annotated[float, Field(ge=0, lt=1)] = setting(AnomalyTest, "attention")
-    radius: Positive = setting(AnomalyTest, "radius")
-    range_noise: Positive | None = setting(AnomalyTest, "range_noise")
-
-
-class DetectorSettings(Section):
-    """The detector of objects, and the update of their classes: see `jaxplore.sensing.Detector` and
-    `jaxplore.parts.Recognition`.
-
-    Args:
-        classes: names of the classes, at least two.
-        confusion: matrix of the classes; row c has the probability of each label for an object of
-            class c that is detected. Its rows sum to 1.
-    """
-
-    classes: Names
-    confusion: Annotated[tuple[Fractions, ...], Field(max_length=MOST_NAMES)]
-    recall: Share | Annotated[tuple[Share, ...], Field(max_length=MOST_NAMES)] = setting(
-        Detector, "recall"
-    )
-    reach: Positive = setting(Detector, "reach")
-    prior: Fractions | None = setting(Recognition, "prior")
-    certainty: Annotated[float, Field(gt=0.5, lt=1)] = setting(Recognition, "certainty")
-    baseline: NonNegative = setting(Recognition, "baseline")
-    weight: NonNegative = setting(Recognition, "weight")
-    target: str | None = setting(Recognition, "target")
-
-
 class TerrainSettings(Section):
     """The ground: see `jaxplore.maps.Ground`.
 
@@ -210,6 +153,8 @@ class RatesSettings(Section):
 class Settings(RunSettings):
     """Settings of an exploration run; a setting that is not given has its default.
 
+    A checked run has those of `ExplorationSettings`, with a section for each capability.
+
     Args:
         map: YAML file of a ROS map or of a world (`jaxplore.World`), `office` or `zones`; beside a
             `world`, its name.
@@ -228,19 +173,12 @@ class Settings(RunSettings):
         map_file: how the image of a ROS map is read.
         office: the generated office, for the map `office`.
         robot: the robot.
-        chassis: wheels and centre of mass of the robot, which can then tip over; it cannot when
-            absent.
         lidar: the lidar of the robot.
         camera: the camera, which becomes the primary sensor; no camera when absent.
         localisation: odometry with errors and how the robot finds its pose; it knows its pose when
             absent.
         is_map_known: whether the robot knows the map in advance; a world has entries for what it
             knows.
-        watch: settings of the idleness map, for search and patrol; none when absent.
-        anomalies: the test for what differs from the known map; none when absent. It needs a watch.
-        detector: the detector of objects by the first sensor; none when absent.
-        keep_out: areas that robots must not enter; none when absent.
-        battery: the robot's battery and its dock; it never runs down when absent.
         terrain: the ground.
         sensor_model: inverse sensor model, the update of a cell by a measurement.
         fields: the information and guidance fields.
@@ -277,15 +215,9 @@ class Settings(RunSettings):
     map_file: MapFileSettings = MapFileSettings()
     office: OfficeSettings = OfficeSettings()
     robot: RobotSettings = RobotSettings()
-    chassis: ChassisSettings | None = None
     lidar: LidarSettings = LidarSettings()
     camera: CameraSettings | None = None
     localisation: LocalisationSettings | None = None
-    watch: WatchSettings | None = None
-    anomalies: AnomalySettings | None = None
-    detector: DetectorSettings | None = None
-    keep_out: KeepOutSettings | None = None
-    battery: BatterySettings | None = None
     terrain: TerrainSettings = TerrainSettings()
     sensor_model: SensorModelSettings = SensorModelSettings()
     fields: FieldSettings = FieldSettings()
@@ -296,6 +228,10 @@ class Settings(RunSettings):
     guard: bool = True
     fleet: FleetSettings | None = None
     people: PeopleSettings = PeopleSettings()
+
+
+ExplorationSettings = with_capabilities(Settings)
+"""The settings with a section for each capability of the registry."""
 
 
 def scenario_path(name: str) -> Path:
@@ -325,10 +261,10 @@ def make_exploration_settings(entries: dict[str, Any]) -> Settings:
     """
     entries = _with_defaults(entries)
     # The other architectures have no section `controller`, or drive with it inside of another one.
-    explored_by = Settings.model_fields["architecture"].default
+    explored_by = ExplorationSettings.model_fields["architecture"].default
     if entries.get("architecture", explored_by) == explored_by:
         entries = under_their_settings(entries, ControllerSettings)
-    return check_section(Settings, entries)
+    return check_section(ExplorationSettings, entries)
 
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.generators.office import office, start_pose
@@ -10,13 +11,13 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.relative import relative_world
 from jaxplore.maps.terrain import TerrainMap
-from jaxplore.maps.world import LabelledObject, MovingObstacle, World, is_world_file, three_zones
-from jaxplore.parts.anomalies.truth import PlantedAnomalies, find_anomalies
+from jaxplore.maps.world import MovingObstacle, World, is_world_file, three_zones
+from jaxplore.parts.capability import Surroundings
+from jaxplore.parts.registry import build_parts
 from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.exploration.reachability import open_spot, with_closed
 from jaxplore.tasks.exploration.fleet import has_others
 from jaxplore.tasks.exploration.settings import OFFICE, ZONES, Settings
-from jaxplore.tasks.robot import build_keep_out
 
 ENOUGH = 1.0 - 1e-6
 """Maps finer than this share of the wanted resolution are resampled. Equal ones differ by rounding
@@ -29,8 +30,8 @@ class RunWorld(NamedTuple):
     All positions are relative to the datum, which is (0, 0) unless the map is far away. The start
     is a pose (x, y, yaw) [m, m, rad], the goal a position (x, y) or (x, y, z) [m]. Nothing is known
     in advance without a `prior`, and the rectangles `zones` [m] are unknown in any case. Terrain is
-    level without a `ground`. Nobody may be in the rectangles `forbidden` [m]. `planted` is what
-    differs from the prior map, and `objects` are those other than the targets.
+    level without a `ground`. `source` is the world of which this is made, for parts. Of a robot on
+    board nobody knows before its first pose where its coordinates begin: it is not `is_placed`.
     """
 
     grid: OccupancyGrid
@@ -41,10 +42,9 @@ class RunWorld(NamedTuple):
     ground: Ground | None = None
     targets: tuple[tuple[float, ...], ...] = ()
     movers: tuple[MovingObstacle, ...] = ()
-    forbidden: tuple[tuple[float, ...], ...] = ()
-    planted: PlantedAnomalies | None = None
-    objects: tuple[LabelledObject, ...] = ()
+    source: World | None = None
     datum: Datum = ORIGIN
+    is_placed: bool = True
 
 
 def build_world(settings: Settings, radius: float) -> RunWorld:
@@ -101,6 +101,11 @@ def expects_people(settings: Settings, world: RunWorld) -> bool:
     return expected and not has_others(settings) and world.ground is None
 
 
+def surroundings(settings: Settings, world: RunWorld, robot: Dynamics) -> Surroundings:
+    """Return what the parts of a robot are built from."""
+    return Surroundings(world.datum, world.source, settings.robot, float(robot.radius))
+
+
 def is_ros_map(settings: Settings) -> bool:
     """Check whether a run is on a ROS map, the only kind of map that has no start of its own."""
     if settings.world is not None or settings.map in (OFFICE, ZONES):
@@ -127,9 +132,7 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
         world.ground(**options),
         world.targets,
         world.movers,
-        world.forbidden,
-        find_anomalies(world),
-        world.objects,
+        world,
         datum,
     )
 
@@ -160,9 +163,11 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
         grid, ground = terrain.grid, terrain.ground
     if settings.start is None:
         open_ground = grid if ground is None else with_closed(grid, ground)
-        keep_out = build_keep_out(settings.keep_out, datum)
-        if keep_out is not None:
-            open_ground = open_ground.with_solid(keep_out.init(grid))
+        around = Surroundings(datum, None, settings.robot, radius)
+        for part in build_parts(settings, around).parts:
+            closed = part.closed_cells(part.init(grid)) if part.closes_cells else None
+            if closed is not None:
+                open_ground = open_ground.with_solid(closed)
         start = (*open_spot(open_ground, radius), 0.0)
     else:
         start = _local_pose(settings.start, datum)

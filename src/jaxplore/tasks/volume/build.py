@@ -10,7 +10,6 @@ import jax
 import numpy as np
 
 from jaxplore._text import printable_path
-from jaxplore.belief.part import Part
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.quadrotor import Quadrotor
@@ -20,7 +19,8 @@ from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.generators.volumes import START, generate_volume
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
-from jaxplore.parts.keep_out.boxes import KeepOutBoxes
+from jaxplore.parts.capability import Surroundings
+from jaxplore.parts.registry import build_parts
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
     volume_explorer,
@@ -66,7 +66,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         robot.radius,
         goal=goal,
         goal_heading=None if goal is None else settings.goal_heading,
-        parts=_parts(settings, datum),
+        parts=build_parts(settings, Surroundings(datum, radius=float(robot.radius))).parts,
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
     )
@@ -94,16 +94,6 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),
     )
-
-
-def _parts(settings: VolumeSettings, datum: Datum) -> tuple[Part, ...]:
-    """Build what the robot knows beside its map."""
-    if settings.keep_out is None:
-        return ()
-    boxes = [
-        [*datum.to_local(box[:3]), *datum.to_local(box[3:])] for box in settings.keep_out.boxes
-    ]
-    return (KeepOutBoxes(boxes),)
 
 
 def _people(settings: VolumeSettings, world: VoxelGrid) -> MovingObstacles | None:

@@ -6,7 +6,12 @@ from jaxplore.tasks.kind import Kind, Shown
 from jaxplore.tasks.volume.build import build_volume, with_start
 from jaxplore.tasks.volume.memory import estimate_volume
 from jaxplore.tasks.volume.scene import VolumeScene
-from jaxplore.tasks.volume.settings import GENERATED, VOLUME, VolumeSettings, make_volume_settings
+from jaxplore.tasks.volume.settings import (
+    GENERATED,
+    VOLUME,
+    VolumeExplorationSettings,
+    make_volume_settings,
+)
 from jaxplore.tasks.volume.topics import VolumeContent
 
 COMPARED = ("explorer", "nearest-cluster", "next-best-view", "gain-per-cost")
@@ -17,7 +22,7 @@ EXPLORATION_OF_VOLUME = Kind(
     title="Volumes",
     place="in a volume",
     selector=VOLUME,
-    settings=VolumeSettings,
+    settings=VolumeExplorationSettings,
     check=make_volume_settings,
     build=build_volume,
     needs=estimate_volume,

@@ -11,6 +11,7 @@ from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.files.volume_file import SUFFIXES, read_volume
 from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.generators.volumes import generate_volume
+from jaxplore.parts.registry import with_capabilities
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
     volume_explorer,
@@ -169,18 +170,6 @@ class VolumeFieldSettings(Section):
     unknown_factor: NonNegative = setting(VolumePerception, "unknown_factor")
 
 
-class BoxSettings(Section):
-    """Boxes that the robot must not enter: see `jaxplore.parts.KeepOutBoxes`.
-
-    Args:
-        boxes: boxes (x_min, y_min, z_min, x_max, y_max, z_max) with z up [m].
-    """
-
-    boxes: Annotated[
-        tuple[tuple[Real, Real, Real, Real, Real, Real], ...], Field(max_length=MOST_NAMES)
-    ] = ()
-
-
 class VolumePeopleSettings(Section):
     """People who walk on the floor of the volume: see `jaxplore.maps.walking_people`.
 
@@ -261,7 +250,6 @@ class VolumeSettings(RunSettings):
         search: targets to find, a list of places (x, y, z) with z up [m]; the run then ends when
             all have been seen.
         goal: goal (x, y, z) with z up [m]; the run then ends when the robot has come to rest there.
-        keep_out: boxes that the robot must not enter; none when absent.
         people: people who walk in the volume.
         time_limit: simulated time [s].
         generated: the generated volume.
@@ -286,7 +274,6 @@ class VolumeSettings(RunSettings):
     goal_heading: Real | None = setting(VolumeScenario, "goal_heading")
     goal_tolerance: Positive = setting(VolumeScenario, "goal_tolerance")
     goal_speed: Positive = setting(VolumeScenario, "goal_speed")
-    keep_out: BoxSettings | None = None
     people: VolumePeopleSettings = VolumePeopleSettings()
     tracking_noise: tuple[NonNegative, NonNegative] = setting(VolumeScenario, "tracking_noise")
     time_limit: Duration = 300.0
@@ -304,6 +291,10 @@ class VolumeSettings(RunSettings):
     rates: VolumeRatesSettings = VolumeRatesSettings()
 
 
+VolumeExplorationSettings = with_capabilities(VolumeSettings, dimensions=3)
+"""The settings with a section for each capability of a robot in a volume."""
+
+
 def make_volume_settings(entries: dict[str, Any]) -> VolumeSettings:
     """Check settings entries of the exploration of a volume, and fill in defaults.
 
@@ -312,7 +303,7 @@ def make_volume_settings(entries: dict[str, Any]) -> VolumeSettings:
     """
     if entries.get(VOLUME) == VOLUME:
         entries = {name: value for name, value in entries.items() if name != VOLUME}
-    settings = check_section(VolumeSettings, entries)
+    settings = check_section(VolumeExplorationSettings, entries)
     if not names_volume(settings.volume):
         raise ValueError(
             f"setting volume is {settings.volume!r}; accepted: {', '.join(GENERATED)}, or a file "
