@@ -18,7 +18,6 @@ from jaxplore.geometry.motion import compose
 from jaxplore.onboard.frames import EvenFrames
 from jaxplore.onboard.odometry import extrapolate_pose
 from jaxplore.onboard.steps import initial
-from jaxplore.parts.battery.truth import TrueBattery
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Frame
@@ -139,14 +138,6 @@ class SimulatedRobot:
     def velocity(self) -> np.ndarray:
         """Velocity (vx, vy, omega) by the odometry, in the frame of the robot."""
         return self._twist
-
-    @property
-    def charge(self) -> float | None:
-        """Share of its capacity that is left in the battery; None without one."""
-        battery = next((e for e in self.scenario.truths if isinstance(e, TrueBattery)), None)
-        if battery is None:
-            return None
-        return float(self.state.truths[battery.name].energy / battery.battery.capacity)
 
     @property
     def is_finished(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxplore.onboard.localisation import compose, inverse
 from jaxplore.onboard.simulated_robot import RobotMeasurement, SimulatedRobot
+from jaxplore.parts.battery.truth import TrueBattery
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.command_publisher import COMMAND_TYPES
 from jaxplore.ros.link import Link
@@ -51,9 +52,11 @@ class RobotNode:
         self._map = link.publisher(ros.OccupancyGrid, MAP_TOPIC, is_kept=True) if has_map else None
         self._pose = link.publisher(ros.PoseWithCovarianceStamped, POSE_TOPIC) if has_map else None
         self._state = link.publisher(ros.String, "~/state")
-        self._battery: Any = None
-        if robot.charge is not None:
-            self._battery = link.publisher(ros.BatteryState, BATTERY_TOPIC)
+        truths = robot.scenario.truths
+        self._battery = next((each for each in truths if isinstance(each, TrueBattery)), None)
+        self._charge: Any = None
+        if self._battery is not None:
+            self._charge = link.publisher(ros.BatteryState, BATTERY_TOPIC)
         self._transforms: Any = None
         if ros.TFMessage is not None:
             self._transforms = link.publisher(ros.TFMessage, "/tf")
@@ -193,13 +196,14 @@ class RobotNode:
 
     def _publish_battery(self, now: float) -> None:
         """Publish the charge, if the robot has a battery."""
-        charge = self.robot.charge
-        if self._battery is None or charge is None:
+        if self._battery is None:
             return
+        energy = self.robot.state.truths[self._battery.name].energy
         message = self.link.ros.BatteryState()
         messages.fill_header(message.header, now, self.link.frame(ROBOT_FRAME))
-        message.percentage, message.present = charge, True
-        self._battery.publish(message)
+        message.percentage = float(energy / self._battery.battery.capacity)
+        message.present = True
+        self._charge.publish(message)
 
     def _publish_map(self, now: float) -> None:
         assert self._map is not None
