@@ -263,6 +263,8 @@ class VolumeSettings(RunSettings):
         goal: goal (x, y, z) with z up [m]; the run then ends when the robot has come to rest there.
         keep_out: boxes that the robot must not enter; none when absent.
         people: people who walk in the volume.
+        guard: whether the robot brakes while its pose, its scan or its motion cannot be true, and
+            where a command would bring it too close to what its sensors meet or do not know.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.
@@ -289,6 +291,7 @@ class VolumeSettings(RunSettings):
     keep_out: BoxSettings | None = None
     people: VolumePeopleSettings = VolumePeopleSettings()
     tracking_noise: tuple[NonNegative, NonNegative] = setting(VolumeScenario, "tracking_noise")
+    guard: bool = False
     time_limit: Duration = 300.0
     target_coverage: Share = setting(VolumeScenario, "target_coverage")
     give_up_after: Duration | None = setting(VolumeScenario, "give_up_after")
