@@ -24,6 +24,7 @@ from jaxplore.control.stops import (
 from jaxplore.control.validation import StopCheck, Validated
 from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.dynamics.base import Dynamics, State
+from jaxplore.maps.volume_field import VolumeField
 from jaxplore.sensing.clusters import Edges
 
 LATE = 1.5
@@ -50,31 +51,39 @@ class ScanPoints(NamedTuple):
     """The newest scan, as a `MotionGuard` needs it.
 
     Args:
-        points: (P, 2) end points of the beams, placed by the expected pose [m].
+        points: (P, 2) end points of the beams, placed by the expected pose [m]; in a volume (P, 3)
+            with z up.
         is_point: (P,) beams that ended at something.
         misfit: share of the returns that contradict the map, see `plausibility.scan_misfit`.
         time: time of the scan [s]; infinite where the robot has no scans.
         interval: time between two scans [s].
         speeds: (P,) speeds with which points may move [m/s], 0 of walls; None where points say
             nothing of commands, as on hills, which return beams like walls.
+        room: in a volume, distance to what the map does not know to be free [m]; else None.
     """
 
-    points: Float[Array, "P 2"]
+    points: Float[Array, "P D"]
     is_point: Bool[Array, " P"]
     misfit: Scalar
     time: Scalar
     interval: Scalar
     speeds: Float[Array, " P"] | None = None
+    room: VolumeField | None = None
 
     @classmethod
     def blank(
-        cls, number: int, time: float = math.inf, *, is_on_hills: bool = False
+        cls,
+        number: int,
+        time: float = math.inf,
+        *,
+        is_on_hills: bool = False,
+        dimensions: int = 2,
     ) -> "ScanPoints":
         """Return `number` points that do not count, of a scan at a time; of none when absent."""
         nothing, at = jnp.zeros(()), jnp.asarray(time, jnp.float32)
         speeds = None if is_on_hills else jnp.zeros(number)
         is_point = jnp.zeros(number, bool)
-        return cls(jnp.zeros((number, 2)), is_point, nothing, at, nothing, speeds)
+        return cls(jnp.zeros((number, dimensions)), is_point, nothing, at, nothing, speeds)
 
 
 class GuardState(NamedTuple):
@@ -133,6 +142,7 @@ class MotionGuard(eqx.Module):
     A command is checked against the newest scan (`keep_clear`): it is replaced by one that brakes
     if the robot could not stand after it without coming too close to what the scan has met. Where
     people are expected, it is slowed down first near places that can hide somebody (`slow_down`).
+    In a volume it is checked against what the map does not know to be free as well.
 
     Args:
         max_frozen: time for which the pose may be the same while the robot should move [s].
@@ -324,9 +334,12 @@ class MotionGuard(eqx.Module):
         if scan.speeds is None:
             return given
         is_wall = scan.is_point & (scan.speeds == 0.0)
-        args = robot, start, control, period, scan.points, scan.is_point, scan.speeds, age, is_wall
+        points = scan.points, scan.is_point, scan.speeds, age, is_wall, scan.room
+        args = robot, start, control, period, *points
         # As for braking: a loop of one iteration or none.
-        is_needed = scan.is_point.any() & jnp.isfinite(control).all()
+        is_needed = jnp.isfinite(control).all()
+        if scan.room is None:
+            is_needed = scan.is_point.any() & is_needed
         checked: Validated = jax.lax.fori_loop(
             0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args), given
         )
@@ -356,7 +369,7 @@ class MotionGuard(eqx.Module):
             period: control period [s].
         """
         there = self._place(robot, state, measured)
-        return self.check.brake(robot, there, period, scan.points, scan.is_point)
+        return self.check.brake(robot, there, period, scan.points, scan.is_point, scan.room)
 
     def advance(
         self,

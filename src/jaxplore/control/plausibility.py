@@ -5,12 +5,13 @@ The functions are pure. The closed loop compiles them. The pilot of a robot call
 the host, with NumPy in double precision, because its positions may be far from the origin.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import ArrayLike, Pose, Scalar
 from jaxplore.belief.belief import Belief
@@ -79,9 +80,22 @@ def scan_misfit(belief: Belief, sensor: Beams, scan: Scan, pose: Pose) -> Scalar
         return jnp.zeros(())
     angles = pose[2] + jnp.asarray(sensor.beam_angles)
     ends = pose[:2] + scan.ranges[:, None] * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
+    return share_of_misfits(belief.clearance, ends, scan.is_return)
+
+
+def share_of_misfits(
+    clearance: Callable[[Array], Scalar],
+    ends: Float[Array, "P D"],
+    is_return: Bool[Array, " P"],
+) -> Scalar:
+    """Return the share of returns (P,) whose ends contradict a map, see `scan_misfit`.
+
+    `clearance` is the distance to what the map does not know to be free, in the plane or in a
+    volume [m].
+    """
     # At a pose that is not finite, the ends are off the map, where the clearance is 0.
-    is_contrary = scan.is_return & (jax.vmap(belief.clearance)(ends) > MISFIT_DISTANCE)
-    number = jnp.sum(scan.is_return, dtype=jnp.float32)
+    is_contrary = is_return & (jax.vmap(clearance)(ends) > MISFIT_DISTANCE)
+    number = jnp.sum(is_return, dtype=jnp.float32)
     share = jnp.sum(is_contrary, dtype=jnp.float32) / jnp.maximum(number, 1.0)
     return jnp.where((number >= MIN_RETURNS) & jnp.isfinite(share), share, 0.0)
 

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore import _checks
-from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Pose, Scalar, StateVector
-from jaxplore.dynamics.base import Dynamics
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Scalar, StateVector
+from jaxplore.dynamics.base import Dynamics, State
 from jaxplore.maps.collision import discs_clearance
+from jaxplore.maps.volume_field import VolumeField
 
 AT_REST = 1e-4
 """Greatest change of the pose of a robot at rest within a step [m, rad]."""
@@ -50,6 +51,13 @@ class StopCheck(eqx.Module):
     go anywhere: after the time t since it was measured it has the radius s t. So the robot is at
     rest before anything that it has seen, and that is no faster, can touch it.
 
+    A robot that `evades` may also execute a command after which it comes to rest no nearer to what
+    moves than if it braked at once, and keeps the margin from walls. So it makes way for somebody
+    who comes closer than it could be sure to stand. Without it, it stands, and is walked into.
+
+    In a volume points are (x, y, z) with z up, the robot is a ball, and it must not come nearer to
+    what the map does not know to be free either.
+
     Points at which the robot was when it began, such as reflections from its own body, must be left
     out by the caller.
 
@@ -64,6 +72,7 @@ class StopCheck(eqx.Module):
         horizon: time in which the robot must come to rest [s].
         num_turns: number of braking trajectories, with steering from full right to full left;
             static.
+        evades: whether the robot makes way for what moves; static.
 
     Raises:
         ValueError: a negative margin, a time that is not positive, fewer than one trajectory.
@@ -73,6 +82,7 @@ class StopCheck(eqx.Module):
     time_step: Scalar
     num_steps: int = eqx.field(static=True)
     num_turns: int = eqx.field(static=True)
+    evades: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -80,12 +90,15 @@ class StopCheck(eqx.Module):
         time_step: float = 0.05,
         horizon: float = 2.5,
         num_turns: int = 9,
+        *,
+        evades: bool = False,
     ) -> None:
         self.margin = _checks.scalar("margin", margin, at_least=0.0)
         self.time_step = _checks.scalar("time_step", time_step, above=0.0)
         span = _checks.number("horizon", horizon, above=0.0)
         self.num_steps = max(1, round(span / float(time_step)))
         self.num_turns = _checks.positive_int("num_turns", num_turns)
+        self.evades = _kinds.flag("evades", evades)
 
     def __call__(
         self,
@@ -93,11 +106,12 @@ class StopCheck(eqx.Module):
         state: StateVector,
         control: ControlVector,
         duration: Scalar,
-        points: Float[Array, "P 2"],
+        points: Float[Array, "P D"],
         is_point: Bool[Array, " P"],
         speeds: Float[Array, " P"] | None = None,
         age: Scalar | None = None,
         is_wall: Bool[Array, " P"] | None = None,
+        room: VolumeField | None = None,
     ) -> Validated:
         """Check a command.
 
@@ -106,26 +120,37 @@ class StopCheck(eqx.Module):
             state: (nx,) state in which the command takes effect.
             control: (nu,) the command.
             duration: time until the next command takes effect [s].
-            points: (P, 2) measured points [m].
+            points: (P, 2) measured points, in a volume (P, 3) with z up [m].
             is_point: (P,) points that count.
             speeds: (P,) speeds with which they may move [m/s]; 0 when absent.
             age: time from their measurement to the state [s]; 0 when absent.
             is_wall: (P,) points that stand, which the robot shall not touch while it evades what
                 moves; none when absent.
+            room: in a volume, distance to what is not known to be free [m]; not checked when
+                absent.
         """
-        seen = _Surroundings.of(robot, state, points, is_point, speeds, age, is_wall)
+        seen = _Surroundings.of(robot, state, points, is_point, speeds, age, is_wall, room)
         # In the middle of a long command the robot may be closer than at its end.
         half = robot.step(state, control, 0.5 * duration)
         after = robot.step(half, control, 0.5 * duration)
-        here = seen.gap(robot, robot.pose(state), seen.age)
-        passed = seen.gap(robot, robot.pose(half), seen.age + 0.5 * duration)
+        here = seen.gap(robot, seen.place(robot, state), seen.age)
+        passed = seen.gap(robot, seen.place(robot, half), seen.age + 0.5 * duration)
         # A robot within the margin may move if it gets no closer, but for rounding. With more it
         # would creep on in each control period.
         enough = jnp.minimum(self.margin, here - ROUNDING)
         is_command = jnp.isfinite(control).all()
         later = seen._replace(age=seen.age + duration)
-        straight = self._brake_with(robot, after, jnp.zeros(()), later)[0]
+        straight, walls = self._brake_with(robot, after, jnp.zeros(()), later)
         planned = jnp.minimum(passed, straight)
+        if self.evades:
+            at, between = seen.place(robot, state), seen.place(robot, half)
+            walls = jnp.minimum(seen.wall_gap(robot, between), walls)
+            is_room = walls >= jnp.minimum(self.margin, seen.wall_gap(robot, at) - ROUNDING)
+            # Where it would stand after the command, and where if it braked at once.
+            ends = [self._come_to_rest(robot, each, jnp.zeros(()), seen) for each in (after, state)]
+            after_it, at_once = (seen.mover_gap(robot, poses[-1]) for poses, _ in ends)
+            evades = is_room & (after_it >= at_once - ROUNDING)
+            planned = jnp.where(evades, jnp.maximum(planned, enough), planned)
 
         # After most commands the robot can brake straight. If not, it may brake with a turn after
         # the command (stage 0), and if that does not do, in its place (stage 1). The stages are one
@@ -154,8 +179,9 @@ class StopCheck(eqx.Module):
         robot: Dynamics,
         state: StateVector,
         duration: Scalar,
-        points: Float[Array, "P 2"],
+        points: Float[Array, "P D"],
         is_point: Bool[Array, " P"],
+        room: VolumeField | None = None,
     ) -> ControlVector:
         """Return the control (nu,) that begins the best braking trajectory.
 
@@ -163,10 +189,11 @@ class StopCheck(eqx.Module):
             robot: model of the robot.
             state: (nx,) state in which it takes effect.
             duration: time until the next command takes effect [s].
-            points: (P, 2) measured points [m].
+            points: (P, 2) measured points, in a volume (P, 3) with z up [m].
             is_point: (P,) points that count.
+            room: in a volume, distance to what is not known to be free [m].
         """
-        seen = _Surroundings.of(robot, state, points, is_point)
+        seen = _Surroundings.of(robot, state, points, is_point, room=room)
         return self._brake(robot, state, duration, seen)[0]
 
     @property
@@ -190,14 +217,26 @@ class StopCheck(eqx.Module):
         self, robot: Dynamics, start: StateVector, turn: Scalar, seen: "_Surroundings"
     ) -> tuple[Scalar, Scalar]:
         """Return the least gap of the robot while it brakes, and its least distance from walls."""
+        poses, moved = self._come_to_rest(robot, start, turn, seen)
+        index = jnp.arange(1 + self.num_steps, dtype=jnp.int32)
+        times = seen.age + jnp.minimum(index, moved).astype(jnp.float32) * self.time_step
+        gaps = jax.vmap(lambda pose, time: seen.gap(robot, pose, time))(poses, times)
+        # A robot that touches a wall already may leave it.
+        return gaps.min(), jax.vmap(lambda pose: seen.wall_gap(robot, pose))(poses[1:]).min()
+
+    def _come_to_rest(
+        self, robot: Dynamics, start: StateVector, turn: Scalar, seen: "_Surroundings"
+    ) -> tuple[Float[Array, "S 3"], Count]:
+        """Return where the robot is while it brakes, the last place repeated, and the step in which
+        it comes to rest."""
 
         def step(
             carry: tuple[StateVector, Float[Array, "S 3"], Count, Flag],
         ) -> tuple[StateVector, Float[Array, "S 3"], Count, Flag]:
             at, poses, number, _ = carry
             after = robot.step(at, robot.stopping_control(at, self.time_step, turn), self.time_step)
-            pose = robot.pose(after)
-            is_moving = jnp.any(jnp.abs(pose - robot.pose(at)) > AT_REST)
+            pose = seen.place(robot, after)
+            is_moving = jnp.any(jnp.abs(pose - seen.place(robot, at)) > AT_REST)
             return after, poses.at[number + 1].set(pose), number + 1, is_moving
 
         def goes_on(carry: tuple[StateVector, Float[Array, "S 3"], Count, Flag]) -> Flag:
@@ -205,59 +244,89 @@ class StopCheck(eqx.Module):
 
         # The loop ends when the robot stands, and has no points in it: all poses are compared with
         # all points at once.
-        blank = jnp.broadcast_to(robot.pose(start), (1 + self.num_steps, 3))
+        blank = jnp.broadcast_to(seen.place(robot, start), (1 + self.num_steps, 3))
         carry = start, blank, jnp.zeros((), jnp.int32), jnp.array(True)
         _, poses, number, is_moving = jax.lax.while_loop(goes_on, step, carry)
         index = jnp.arange(1 + self.num_steps, dtype=jnp.int32)
         poses = poses[jnp.minimum(index, number)]
         # Who touches a robot that stands does so by himself.
-        moved = jnp.where(is_moving, number, number - 1)
-        times = seen.age + jnp.minimum(index, moved).astype(jnp.float32) * self.time_step
-        gaps = jax.vmap(lambda pose, time: seen.gap(robot, pose, time))(poses, times)
-        # A robot that touches a wall already may leave it.
-        return gaps.min(), jax.vmap(lambda pose: seen.room(robot, pose))(poses[1:]).min()
+        return poses, jnp.where(is_moving, number, number - 1)
 
 
 class _Surroundings(NamedTuple):
     """What a scan has met: points, the speeds with which they may move, and walls among them.
 
     Points that do not count are far away, because shapes are static. `age` is the time since their
-    measurement [s].
+    measurement [s]. `room` is the distance to what is not known to be free, in a volume [m].
     """
 
-    points: Float[Array, "P 2"]
+    points: Float[Array, "P D"]
     speeds: Float[Array, " P"]
-    walls: Float[Array, "P 2"] | None
+    walls: Float[Array, "P D"] | None
     age: Scalar
+    room: VolumeField | None
 
     @classmethod
     def of(
         cls,
         robot: Dynamics,
         state: StateVector,
-        points: Float[Array, "P 2"],
+        points: Float[Array, "P D"],
         is_point: Bool[Array, " P"],
         speeds: Float[Array, " P"] | None = None,
         age: Scalar | None = None,
         is_wall: Bool[Array, " P"] | None = None,
+        room: VolumeField | None = None,
     ) -> "_Surroundings":
         """Return what a robot in a state has around it, see `StopCheck`."""
-        far = FAR + robot.position(state)
+        far = FAR + State(state, robot, None).place(points.shape[1])
         return cls(
             jnp.where(is_point[:, None], points, far),
             jnp.zeros(points.shape[0]) if speeds is None else speeds,
             None if is_wall is None else jnp.where(is_wall[:, None], points, far),
             jnp.zeros(()) if age is None else age,
+            room,
         )
 
-    def gap(self, robot: Dynamics, pose: Pose, time: Scalar) -> Scalar:
+    def place(self, robot: Dynamics, state: StateVector) -> Float[Array, "3"]:
+        """Return where a robot is: (x, y, yaw) in the plane, (x, y, z) in a volume."""
+        if self.points.shape[1] == 2:
+            return robot.pose(state)
+        return State(state, robot, None).place(3)
+
+    def gap(self, robot: Dynamics, place: Float[Array, "3"], time: Scalar) -> Scalar:
         """Return the distance of the robot's edge from the nearest point, a time after it was
         measured."""
-        return discs_clearance(self.points, self.speeds * time, pose[:2], pose[2], robot.footprint)
+        least = _least_gap(self.points, self.speeds * time, place, robot)
+        if self.room is None:
+            return least
+        return jnp.minimum(least, self.room(place) - robot.footprint.radius)
 
-    def room(self, robot: Dynamics, pose: Pose) -> Scalar:
+    def wall_gap(self, robot: Dynamics, place: Float[Array, "3"]) -> Scalar:
         """Return the distance of the robot's edge from the nearest wall."""
         if self.walls is None:
             return jnp.asarray(jnp.inf)
-        still = jnp.zeros(self.walls.shape[0])
-        return discs_clearance(self.walls, still, pose[:2], pose[2], robot.footprint)
+        least = _least_gap(self.walls, jnp.zeros(self.walls.shape[0]), place, robot)
+        if self.room is None:
+            return least
+        return jnp.minimum(least, self.room(place) - robot.footprint.radius)
+
+    def mover_gap(self, robot: Dynamics, place: Float[Array, "3"]) -> Scalar:
+        """Return the distance of the robot's edge from where the nearest thing that moves was
+        measured."""
+        still = jnp.where(self.speeds > 0.0, 0.0, -FAR)
+        return _least_gap(self.points, still, place, robot)
+
+
+def _least_gap(
+    points: Float[Array, "P D"],
+    radii: Float[Array, " P"],
+    place: Float[Array, "3"],
+    robot: Dynamics,
+) -> Scalar:
+    """Return the distance of a robot's edge from the nearest disc, in a volume ball."""
+    if points.shape[1] == 2:
+        return discs_clearance(points, radii, place[:2], place[2], robot.footprint)
+    # By columns: rows of three numbers would not be computed side by side.
+    squared = sum((column - own) ** 2 for column, own in zip(points.T, place, strict=True))
+    return jnp.min(jnp.sqrt(squared) - radii, initial=jnp.inf) - robot.footprint.radius

@@ -16,7 +16,8 @@ from jaxplore.report.coverage_levels import (
     find_first,
     reach_levels,
 )
-from jaxplore.report.metrics import Column, Curve, Metrics, thin_series
+from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics, guard_metrics
+from jaxplore.report.metrics import Column, Curve, thin_series
 from jaxplore.report.motion import episodes
 from jaxplore.report.recording import Frame, LiveCurves, RunData, move_records, move_states
 from jaxplore.report.targets import last_target_at, target_rows
@@ -36,6 +37,8 @@ class VolumeRecord(NamedTuple):
         is_finite: whether any rollout had a finite cost.
         targets_seen: number of targets that were seen so far; None without targets.
         is_untraversable: whether part of the robot is in a keep-out box; None without any.
+        stop: why the guard stopped the robot, an index into `control.stops.REASONS`; 0 if it did
+            not, None without a guard.
     """
 
     state: StateVector
@@ -47,6 +50,7 @@ class VolumeRecord(NamedTuple):
     is_finite: Flag
     targets_seen: Count | None = None
     is_untraversable: Flag | None = None
+    stop: Count | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -159,7 +163,7 @@ class VolumeData(RunData):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class VolumeMetrics(Metrics):
+class VolumeMetrics(GuardMetrics):
     """Metrics of an exploration of a volume.
 
     Args:
@@ -210,6 +214,7 @@ class VolumeMetrics(Metrics):
         ),
         Column.quartiles("path_length", "path [m]"),
         Column.total("collisions", "collisions"),
+        GUARD_COLUMN,
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
     )
@@ -230,6 +235,7 @@ class VolumeMetrics(Metrics):
             *numbers("goal", "{:.2f} m away", self.goal_distance),
             ("path", f"{self.path_length:.1f} m, {self.mean_speed:.2f} m/s in the mean"),
             ("collisions", str(self.collisions)),
+            *self.guard_rows(),
             *(
                 [("untraversable", f"{self.untraversable_steps} steps")]
                 if self.untraversable_steps
@@ -268,6 +274,7 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         path_length=float(path[-1]),
         volume=float(data.observable.sum()) * data.resolution**3,
         collisions=episodes(np.asarray(records.is_collision, bool)),
+        **guard_metrics(records.stop),
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         mean_speed=float(path[-1] / max(period, data.num_steps * period)),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,

@@ -30,7 +30,8 @@ from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
-from jaxplore.control.guard import MotionGuard
+from jaxplore.control.guard import ScanPoints
+from jaxplore.control.stops import BLIND, GOOD, MISFIT
 from jaxplore.dynamics.goal_check import (
     GOAL_RADIUS,
     GOAL_SPEED,
@@ -46,7 +47,8 @@ from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, Vo
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.robot.clock import whole_steps
-from jaxplore.robot.robot import tell
+from jaxplore.robot.robot import FITTING, is_mapped_after, tell, unfit_after
+from jaxplore.robot.volume_points import num_volume_points, volume_points
 from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import default_give_up_after
@@ -69,7 +71,9 @@ class VolumeState(NamedTuple):
 
     `num_known` observable voxels are known to be free, and `gain` is the last rise of their share.
     `is_seen` (M,) says which targets have been seen. `motion` is that of the last step; None
-    without a goal. `moving` are the true moving obstacles of the run; None without any.
+    without a goal. `moving` are the true moving obstacles of the run; None without any. `points`
+    are of the newest scan, and `unfit` is for how long scans have not fitted the map [s], negative
+    while they do; both are None without a guard.
     """
 
     robot: StateVector
@@ -79,6 +83,8 @@ class VolumeState(NamedTuple):
     is_seen: Bool[Array, " M"]
     motion: Motion | None = None
     moving: MovingObstacles | None = None
+    points: ScanPoints | None = None
+    unfit: Scalar | None = None
 
 
 class VolumeScenario(Scenario):
@@ -236,19 +242,6 @@ class VolumeScenario(Scenario):
         self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
         self.reach = math.ceil(max(TOUCHING, 2.0 * radius) / world.resolution)
 
-    def with_guard(self, guard: MotionGuard | None) -> "VolumeScenario":
-        """Return the scenario without a guard; no other is accepted.
-
-        Args:
-            guard: None.
-
-        Raises:
-            ValueError: a guard, which checks scans of the plane.
-        """
-        if guard is not None:
-            raise ValueError("guard is given; accepted in a volume: None")
-        return self
-
     @property
     def steps_per_measurement(self) -> int:
         """Control periods between two scans."""
@@ -274,19 +267,44 @@ class VolumeScenario(Scenario):
             obstacles = Obstacles.unseen(moving.radius)
             belief = dataclasses.replace(belief, obstacles=obstacles)
             moving = moving if key is None else moving.at_random_phase(key)
-        return VolumeState(self.start, belief, known, gain, is_seen, motion, moving), belief
+        state = VolumeState(self.start, belief, known, gain, is_seen, motion, moving)
+        if self.guard is not None:
+            points = ScanPoints.blank(num_volume_points(self.sensors), 0.0, dimensions=3)
+            state = state._replace(points=points, unfit=jnp.asarray(FITTING))
+        return state, belief
+
+    def scan_points(self, state: VolumeState, moment: Moment | None = None) -> ScanPoints:
+        """Return the newest scan for the guard, with the room of the map."""
+        points = state.points
+        if points is None:
+            return ScanPoints.blank(1)
+        if moment is None:
+            return points._replace(room=state.belief.clearance)
+        comes = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
+        return points._replace(time=jnp.where(comes, moment.time, points.time))
 
     def perceive(
         self, state: VolumeState, moment: Moment, key: Key
     ) -> tuple[VolumeState, VolumeBelief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        at, turn = position_upwards(moment.observed), attitude_upwards(moment.observed)
+        observed, is_placed, unfit = moment.observed, None, state.unfit
+        if moment.measured is not None and moment.guard is not None:
+            # While only scans speak against a pose, they say there when they fit again.
+            stop = moment.guard.stop
+            is_trusted = (stop == GOOD) | (stop == MISFIT) | (stop == BLIND)
+            is_placed = is_trusted & jnp.isfinite(moment.measured).all()
+            observed = jnp.where(is_placed, moment.measured, moment.guard.expected)
+        at, turn = position_upwards(observed), attitude_upwards(observed)
         elapsed = self.control_period * self.steps_per_field.astype(jnp.float32)
         truly, truly_turned = position_upwards(state.robot), attitude_upwards(state.robot)
         people = self._people(state, moment.time)
 
-        def scan_once(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
-            before, known = given
+        interval = self.control_period * self.steps_per_scan.astype(jnp.float32)
+        # None, which has no arrays, in place of what only a guard needs.
+        type Given = tuple[VolumeBelief, Count, ScanPoints | None, Scalar | None]
+
+        def scan_once(given: Given) -> Given:
+            before, known, points, unfit = given
             keys, world = jax.random.split(key, len(self.sensors)), self.world_at(moment.step)
             scans = [
                 sensor.scan(world, truly, truly_turned, key=each)
@@ -301,35 +319,50 @@ class VolumeScenario(Scenario):
                 seen = self.sensors, world, truly, truly_turned, self.tracking_noise, key
                 told = tell(before.obstacles, people.tell(*seen))
                 before = dataclasses.replace(before, obstacles=told)
-            window = self.perception.scan_window(before.grid, at, turn)
-            old, log_odds = read_first(window, before.grid.log_odds)
-            before = eqx.tree_at(lambda each: each.grid.log_odds, before, log_odds)
-            belief = self.perception.update(before, at, turn, scans)
-            wanted = belief.place_window(window).read(self.observable)
-            now, then = (
-                jnp.sum((each < FREE_BELOW) & wanted, dtype=jnp.int32)
-                for each in (window.read(belief.grid.log_odds), old)
-            )
-            return belief, known + now - then
+
+            def map_scans(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
+                before, known = given
+                window = self.perception.scan_window(before.grid, at, turn)
+                old, log_odds = read_first(window, before.grid.log_odds)
+                before = eqx.tree_at(lambda each: each.grid.log_odds, before, log_odds)
+                belief = self.perception.update(before, at, turn, scans)
+                wanted = belief.place_window(window).read(self.observable)
+                now, then = (
+                    jnp.sum((each < FREE_BELOW) & wanted, dtype=jnp.int32)
+                    for each in (window.read(belief.grid.log_odds), old)
+                )
+                return belief, known + now - then
+
+            if unfit is None:
+                return *map_scans((before, known)), points, unfit
+            assert is_placed is not None
+            assert moment.measured is not None
+            # A stopped robot brakes by its scans, which need no place in the map.
+            poses = moment.measured, moment.guard.expected
+            points = volume_points(before, self.sensors, scans, *poses, moment.time, interval)
+            unfit = jnp.where(is_placed, unfit_after(unfit, points.misfit, interval), FITTING)
+            is_mapped = is_placed & is_mapped_after(unfit)
+            mapped = jax.lax.cond(is_mapped, map_scans, lambda same: same, (before, known))
+            return *mapped, points, unfit
 
         is_due = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
         belief, stored = state.belief.split()
         if belief.obstacles is not None:
             later = belief.obstacles.advance(self.control_period)
             belief = dataclasses.replace(belief, obstacles=later)
-        belief, known = jax.lax.cond(
-            is_due, scan_once, lambda same: same, (belief, state.num_known)
-        )
+        given = belief, state.num_known, state.points, unfit
+        belief, known, points, unfit = jax.lax.cond(is_due, scan_once, lambda same: same, given)
         belief, stored = eqx.combine(belief, stored).store_window().split()
 
         def with_fields(old: VolumeBelief) -> VolumeBelief:
-            heading = self.robot.heading(moment.observed)
+            heading = self.robot.heading(observed)
             whole = eqx.combine(old, stored)
             return self.perception.update_fields(whole, at, heading, elapsed).split()[0]
 
-        belief = jax.lax.cond(
-            moment.step % self.steps_per_field == 0, with_fields, lambda same: same, belief
-        )
+        is_new = moment.step % self.steps_per_field == 0
+        if is_placed is not None:
+            is_new = is_new & is_placed
+        belief = jax.lax.cond(is_new, with_fields, lambda same: same, belief)
         belief = eqx.combine(belief, stored)
         is_seen = state.is_seen
         if is_seen.size:
@@ -339,7 +372,9 @@ class VolumeScenario(Scenario):
                 lambda same: same,
                 is_seen,
             )
-        state = state._replace(belief=belief, num_known=known, is_seen=is_seen)
+        state = state._replace(
+            belief=belief, num_known=known, is_seen=is_seen, points=points, unfit=unfit
+        )
         gain = state.gain.update(self.coverage(state), self.control_period)
         return state._replace(gain=gain), belief
 
@@ -369,6 +404,7 @@ class VolumeScenario(Scenario):
             is_finite=info.is_finite,
             targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None,
             is_untraversable=self._is_barred(after),
+            stop=moment.stop,
         )
         if self.goal_check is not None:
             motion = Motion.between(self.robot, state.robot, after, self.control_period)

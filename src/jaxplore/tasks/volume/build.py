@@ -12,6 +12,8 @@ import numpy as np
 from jaxplore._text import printable_path
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.control.base import Controller
+from jaxplore.control.guard import WALL_MARGIN, MotionGuard
+from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, read_volume
@@ -84,6 +86,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         **arguments(settings, VolumeScenario),
         **arguments(settings.rates, VolumeScenario),
     ).with_variation(build_variation(settings.variation))
+    scenario = scenario.with_guard(_guard() if settings.guard else None)
     controller = set_parameters(_controller(settings, scenario), settings.parameters)
     controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
     if goal is not None:
@@ -94,6 +97,11 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),
     )
+
+
+def _guard() -> MotionGuard:
+    """Build the guard of a quadrotor, which can make way to all sides."""
+    return MotionGuard(check=StopCheck(WALL_MARGIN, evades=True))
 
 
 def _people(settings: VolumeSettings, world: VoxelGrid) -> MovingObstacles | None:

@@ -251,6 +251,8 @@ class VolumeSettings(RunSettings):
             all have been seen.
         goal: goal (x, y, z) with z up [m]; the run then ends when the robot has come to rest there.
         people: people who walk in the volume.
+        guard: whether the robot brakes while its pose, its scan or its motion cannot be true, and
+            where a command would bring it too close to what its sensors meet or do not know.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.
@@ -276,6 +278,7 @@ class VolumeSettings(RunSettings):
     goal_speed: Positive = setting(VolumeScenario, "goal_speed")
     people: VolumePeopleSettings = VolumePeopleSettings()
     tracking_noise: tuple[NonNegative, NonNegative] = setting(VolumeScenario, "tracking_noise")
+    guard: bool = False
     time_limit: Duration = 300.0
     target_coverage: Share = setting(VolumeScenario, "target_coverage")
     give_up_after: Duration | None = setting(VolumeScenario, "give_up_after")
