@@ -152,7 +152,9 @@ def test_a_comparison_on_maps_has_settings_of_its_own(
     flight = ["--robot", "quadrotor", "--architectures", "explorer,nearest-frontier,two-layer"]
     main(["compare", "--maps", "maps", *flight, "--out", "flight", "--set", "robot.radius=0.25"])
     settings = made[2][0].settings
-    assert settings["robot"] == {"model": "quadrotor", "radius": 0.25, "max_speed": 2.0}
+    # The explorer flies at the speed of the quadrotor's model.
+    assert settings["robot"] == {"model": "quadrotor", "radius": 0.25}
+    assert made[2][-1].settings["robot"] == {**settings["robot"], "max_speed": 2.0}
     assert settings["lidar"] == {
         "num_beams": 46,
         "max_range": 5.0,

@@ -54,7 +54,9 @@ def test_there_is_a_task_for_each_map_explorer_and_seed(
     ]
     assert len({each.id for each in episodes}) == 8
     first, last = episodes[0], episodes[-1]
-    assert first.settings == {**small, "start": [1.0, 1.5, 0.5]}
+    # A portfolio does not read the settings of the explorer's controller.
+    read = {name: value for name, value in small.items() if name != "controller"}
+    assert first.settings == {**read, "start": [1.0, 1.5, 0.5]}
     assert last.settings == small
     own = {"map": maps[1].path, "architecture": "explorer", "seed": 2}
     assert last.entries == {**small, **own}
@@ -149,3 +151,39 @@ def test_variants_are_settings_with_a_name(
     assert few.id != plain.id
     with pytest.raises(ValueError, match="variants explorer and wide differ in the settings robot"):
         make_episodes(maps, {"explorer": {}, "wide": {"robot": {"radius": 0.4}}}, (0,), small)
+
+
+def test_an_episode_in_a_volume_is_another_kind_of_run() -> None:
+    forest = MapFile("forest", "forest", "", selector="volume")
+    settings = {"generated": {"seed": 2}, "lidar": {"rings": 4}}
+    (episode,) = make_episodes((forest,), ("explorer",), (3,), settings)
+    own = {"volume": "forest", "architecture": "explorer", "seed": 3}
+    assert episode.entries == {**settings, **own}
+    assert episode.id != dataclasses.replace(episode, selector="map").id
+    track = MapFile("track", "track", "", selector="path")
+    fast = make_episodes((track,), {"fast": {"laps": 2}}, (0,), {})[0]
+    assert fast.entries == {"path": "track", "laps": 2, "seed": 0}
+    with pytest.raises(ValueError, match="maps are of the kinds volume, path; accepted: one of"):
+        make_episodes((forest, track), ("explorer",), (0,), {})
+
+
+@pytest.mark.parametrize(
+    ("variants", "settings", "reason"),
+    [
+        (("explorer",), {"portfolio": {"decomposition": "roles"}}, "which architecture explorer"),
+        (("explorer",), {"office": {"seed": 1}}, "setting office.seed is 1, which map"),
+        (
+            {"a": {"informative": {"horizon": 9}}, "b": {"time_limit": 5.0}},
+            {},
+            "setting informative.horizon is 9",
+        ),
+    ],
+)
+def test_what_no_run_reads_is_refused(
+    maps: tuple[MapFile, ...], variants: Any, settings: dict[str, Any], reason: str
+) -> None:
+    with pytest.raises(ValueError, match=re.escape(reason)):
+        make_episodes(maps, variants, (0,), settings)
+    # What one of the variants reads is left out of the others.
+    both = make_episodes(maps[:1], ("explorer", "portfolio"), (0,), {"controller": {"horizon": 9}})
+    assert ["controller" in each.settings for each in both] == [True, False]

@@ -5,6 +5,7 @@ import pytest
 import yaml
 
 from jaxplore.study.comparison.maps import MapFile, maps_in, with_starts
+from jaxplore.tasks.registry import KINDS
 
 WriteMap = Callable[..., Path]
 
@@ -107,3 +108,32 @@ def test_starts_that_are_none_are_named(
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(starts))
     with pytest.raises(ValueError, match=reason):
         with_starts(maps, tmp_path / "other.yaml")
+
+
+def test_volumes_and_paths_are_found_by_their_kind(tmp_path: Path, write_map: WriteMap) -> None:
+    top = tmp_path / "places"
+    (top / "inner").mkdir(parents=True)
+    (top / "inner" / "hall.npy").write_bytes(b"one")
+    (top / "round.csv").write_text("0,0\n1,1\n")
+    (top / "starts.yaml").write_text("hall: [1, 2, 0.5, 0]")
+    (hall,) = maps_in(top, KINDS["volume"])
+    assert (hall.name, hall.selector, hall.start) == ("hall", "volume", (1.0, 2.0, 0.5, 0.0))
+    # The first kind that has files there, in the order of the registry.
+    (alone,) = maps_in(tmp_path / "places" / "round.csv")
+    assert (alone.name, alone.selector) == ("round", "path")
+    with pytest.raises(ValueError, match=r"has a start on 'hall'; accepted: the maps round"):
+        maps_in(top)
+    both = maps_in(f"office3d, {top}/inner,forest")
+    assert [(each.name, each.path) for each in both] == [
+        ("forest", "forest"),
+        ("hall", str(top / "inner" / "hall.npy")),
+        ("office3d", "office3d"),
+    ]
+    assert [bool(each.content) for each in both] == [False, True, False]
+    write_map(top / "inner" / "plan.yaml")
+    assert [each.name for each in maps_in(top / "inner")] == ["plan"]
+    with pytest.raises(ValueError, match=r"'forest' is no ROS map; accepted: YAML files with an"):
+        maps_in("forest", KINDS["exploration"])
+    (top / "starts.yaml").write_text("hall: [1, 2, 0]")
+    with pytest.raises(ValueError, match=r"hall is \[1, 2, 0\]; accepted: \[x, y, z, yaw\]"):
+        maps_in(top, KINDS["volume"])

@@ -159,11 +159,46 @@ def test_curves_are_medians_over_seeds() -> None:
 def test_paths_are_where_the_robot_was_on_a_turned_map() -> None:
     turned = OccupancyGrid(GRID.probability, 0.1, (2.0, -1.0, np.pi / 2))
     # 0.5 m along the map's rows, 0.3 m across them, from its corner.
-    moved = row("room", "explorer", 0, positions_x=[1.7, 1.7], positions_y=[-0.5, 0.0])
+    places = {"positions_x": [1.7, 1.7], "positions_y": [-0.5, 0.0]}
+    moved = row("room", "explorer", 0, curve_time=[0.0, 0.5], curve_coverage=[0.1, 0.2], **places)
     (axes,) = path_figure(moved, turned, find_known_part(turned)).axes
     across, along = axes.get_lines()[0].get_data()
     np.testing.assert_allclose(across, [4.5, 9.5], atol=1e-6)
     np.testing.assert_allclose(along, [2.5, 2.5], atol=1e-6)
+
+
+def test_each_robot_of_a_fleet_has_its_way() -> None:
+    first = row("room", "claims", 0)
+    second = [2.5 - x for x in first["positions_x"]], [1.0] * len(first["positions_y"])
+    fleet = row(
+        "room",
+        "claims",
+        0,
+        positions_x=[*first["positions_x"], *second[0]],
+        positions_y=[*first["positions_y"], *second[1]],
+    )
+    (axes,) = path_figure(fleet, GRID, find_known_part(GRID)).axes
+    # Of each robot its way, its start and its end.
+    ways = axes.get_lines()[::3]
+    assert len(axes.get_lines()) == 6
+    np.testing.assert_allclose(ways[0].get_xdata()[0], 4.5)
+    np.testing.assert_allclose(ways[1].get_data()[0], 10.0 * np.array(second[0]) - 0.5)
+    np.testing.assert_allclose(ways[1].get_data()[1], 9.5)
+    assert ways[0].get_color() != ways[1].get_color()
+    text = page([fleet], {"room": GRID}, "Fleet")
+    data = json.loads(re.search(r'id="runs">(.*)</script>', text).group(1))
+    (run,) = data["runs"]
+    assert [len(each) for each in (run["across"], run["down"], run["inks"])] == [2, 2, 2]
+    assert run["down"][1][0] == pytest.approx(16 - 10.0)
+
+
+def test_what_was_known_from_the_beginning_is_replayed_at_once() -> None:
+    text = page([row("room", "path", 0, seen=None, seen_time=[])], {"room": GRID}, "Path")
+    data = json.loads(re.search(r'id="runs">(.*)</script>', text).group(1))
+    (run,) = data["runs"]
+    picture = Image.open(io.BytesIO(base64.b64decode(run["seen"].partition(",")[2])))
+    assert not np.asarray(picture).any()
+    assert run["seen_time"] == [0.0]
 
 
 def test_a_run_without_a_whole_picture_has_a_path_and_no_replay() -> None:

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
-from jaxplore.study.comparison.maps import maps_in, read_grid
+from jaxplore.study.comparison.maps import maps_in
 from jaxplore.study.comparison.row_task import RowTask, make_rows
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.store import Plan
+from jaxplore.tasks.exploration.on_maps import read_grid
 
 
 def test_workers_keep_to_a_map_and_explorer_then_to_the_explorer(plan: Plan) -> None:

@@ -135,12 +135,15 @@ def compare(seeds: int, out: Path | None, overwrite: bool, **options: Any) -> No
 
     Ctrl-C ends the comparison and keeps finished runs.
 
-    With --maps it compares on all ROS maps of a folder. The folder of results has one file per run,
-    a table of all runs, results.parquet, and a page, results.html. The same command continues an
-    interrupted comparison:
+    With --maps it compares on all ROS maps, volumes or paths of a folder, or on several places,
+    A,B; the words fleet, volume and path say of which kind. The folder of results has one file per
+    run, a table of all runs, results.parquet, and a page, results.html. The same command continues
+    an interrupted comparison:
 
     \b
       jaxplore compare --maps maps --architectures explorer,portfolio --workers 4
+      jaxplore compare fleet --maps maps --vary fleet.coordination=claims,none
+      jaxplore compare --maps forest,hall.ply --architectures explorer,nearest-cluster
     """
     from jaxplore.cli._comparison import run_comparison
 

@@ -29,8 +29,18 @@ from jaxplore.study.runner import Runner
 from jaxplore.study.seeds import check_number_of_seeds
 from jaxplore.study.variants import make_variants
 from jaxplore.tasks.exploration.settings import merge_entries
-from jaxplore.tasks.registry import build, find_kind, folder_name, keep_read, make_settings
+from jaxplore.tasks.registry import (
+    build,
+    files_of,
+    find_kind,
+    folder_name,
+    keep_read,
+    make_settings,
+    words,
+)
 
+LONGEST_NAME = 60
+"""Longest name of the default folder of several maps, before `-comparison`."""
 _OF_MAPS = ("starts", "batch")
 """Options for --maps only."""
 _OF_ONE_PLACE = {
@@ -175,45 +185,47 @@ def _on_maps(
     *,
     overwrite: bool,
 ) -> None:
+    named = options["map_"] if options["map_"] in words() else None
     for name, shown in _OF_ONE_PLACE.items():
-        if options[name] is not None:
+        if options[name] not in (None, named):
             raise ValueError(
                 f"{shown} is {options[name]} beside --maps; accepted: one of them, and --starts"
             )
     samples = options.pop(SAMPLES)
-    entries = option_entries(options)
-    maps = maps_in(given["maps"])
+    maps = maps_in(given["maps"], None if named is None else find_kind(words()[named]))
     if given["starts"] is not None:
         maps = with_starts(maps, given["starts"])
+    entries = option_entries({**options, "map_": None}, {maps[0].selector: maps[0].path}, named)
+    kind = find_kind(entries)
+    compared = files_of(kind.selector)
     first = entries.get("seed", 0)
     if not isinstance(first, int):
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
     batch = 1 if given["batch"] is None else given["batch"]
     check_count("--batch", batch, MOST_AT_ONCE)
+    if not variants and not compared.variants:
+        raise ValueError(
+            "--vary is missing; accepted here: --vary NAME=A,B or --variants FILE,FILE"
+        )
     # A variant without an architecture of its own is named by it.
     own_entries = {
-        name: {"architecture": name, **own}
-        for name, own in variant_entries(variants or GROUND).items()
+        name: {"architecture": name, **own} if compared.variants else own
+        for name, own in variant_entries(variants or compared.variants, kind).items()
     }
-    on_first = [{**own, "map": maps[0].path} for own in own_entries.values()]
-    entries = with_samples(entries, samples, options["assignments"], on_first)
-    runs = {
-        (name, each.path): {**merge_entries(entries, own), "map": each.path}
-        for name, own in own_entries.items()
-        for each in maps
-    }
-    for each in keep_read(runs).values():
-        # The runs on a map that cannot be read fail, and the others go on.
-        check_memory(
-            [make_settings(each)],
-            limit,
-            num_runs=runner.num_processes,
-            batch=batch,
-            must_be_readable=False,
-        )
+    entries = with_samples(entries, samples, options["assignments"], own_entries.values())
     seeds_of_all = range(first, first + seeds)
     check_number_of_seeds("--seeds", seeds_of_all)
-    plan = Plan(maps, variants or GROUND, tuple(seeds_of_all), entries, batch)
+    plan = Plan(maps, variants or compared.variants, tuple(seeds_of_all), entries, batch)
+    settings = {
+        (each.map, each.explorer): make_settings(each.entries)
+        for each in plan.with_protocol().episodes()
+        if each.seed == first
+    }
+    for each in settings.values():
+        # The runs on a map that cannot be read fail, and the others go on.
+        check_memory(
+            [each], limit, num_runs=runner.num_processes, batch=batch, must_be_readable=False
+        )
     folder = _default_folder(given["maps"]) if out is None else out
     found = compare_maps(
         plan, folder, runner=runner, overwrite=overwrite, figures=kinds, progress=True
@@ -221,12 +233,14 @@ def _on_maps(
     _show(found)
 
 
-def _default_folder(maps: Path) -> Path:
-    """Return the default folder for the results of a folder of maps.
+def _default_folder(maps: str) -> Path:
+    """Return the default folder for the results of a folder of maps, or of several places.
 
     If only one with the default name of former versions exists, it raises a `ValueError`.
     """
-    name = os.path.basename(os.path.realpath(maps))
+    parts = [maps] if "," not in maps or os.path.lexists(maps) else maps.split(",")
+    stems = [Path(os.path.realpath(part.strip())) for part in parts]
+    name = "-".join(stem.name if stem.is_dir() else stem.stem for stem in stems)[:LONGEST_NAME]
     folder, former = Path("runs") / f"{name}-comparison", Path("runs") / f"{name}-benchmark"
     if former.is_dir() and not folder.exists():
         raise ValueError(f"{former} is of a former version; accepted: --out {former}, or rename it")

@@ -27,9 +27,9 @@ def comparison_options(command: Any) -> Any:
         ),
         click.option(
             "--maps",
-            type=folder,
             metavar="DIR",
-            help="Compare on all ROS maps of a folder; can be interrupted and continued.",
+            help="Compare on all ROS maps, volumes or paths of a folder, or on several, A,B: "
+            "files, folders and names such as forest. Can be interrupted and continued.",
         ),
         click.option(
             "--vary",

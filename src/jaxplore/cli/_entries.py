@@ -11,15 +11,21 @@ from jaxplore.settings.readers import find_readers
 from jaxplore.settings.sections import find_field, read_settings
 from jaxplore.tasks.exploration.settings import merge_entries
 from jaxplore.tasks.path.settings import PATH
-from jaxplore.tasks.registry import KINDS, at_place, find_kind
+from jaxplore.tasks.registry import KINDS, at_place, find_kind, words
 
 SAMPLES = "controller__num_samples"
 """Option of the number of rollouts, of every architecture."""
 _SAMPLES = "num_samples"
 
 
-def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert values of the options of `with_options` and `path_options` to settings entries."""
+def option_entries(
+    options: Mapping[str, Any], place: Mapping[str, Any] | None = None, word: str | None = None
+) -> dict[str, Any]:
+    """Convert values of the options of `with_options` and `path_options` to settings entries.
+
+    `place` are the entries of one of several maps, where the options name none, and `word` the word
+    that was given beside them.
+    """
     given = dict(options)
     settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
     trust = given.pop("trust", False)
@@ -27,6 +33,12 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     file = {} if settings_file is None else read_settings(settings_file, is_trusted=trust)
     entries, _ = part_node(file)
     entries = _with_place(entries, given.pop("map_"), given.pop("path_file", None), trust)
+    if place is not None:
+        named = {} if word is None else words()[word]
+        selectors = {kind.selector for kind in KINDS.values()}
+        entries = {**named, **entries}
+        entries = {name: value for name, value in entries.items() if name not in selectors}
+        entries |= place
     kind = find_kind(entries)
     samples = given.pop(SAMPLES, None)
     for option, value in given.items():

@@ -94,6 +94,31 @@ class LiveCurves(NamedTuple):
     values: np.ndarray
 
 
+class Course(NamedTuple):
+    """What a comparison on several maps shows of a run, at the beginning of each step and its end.
+
+    Args:
+        done: (N + 1,) share of the task that is done: what is known of a map, or driven of a path.
+        path: (N + 1,) distance that all robots have travelled [m].
+        positions: (R, N + 1, 2) positions of the robots [m].
+        entropy: (N + 1,) entropy of the belief [nat]; None without one.
+        known: function of a frame that returns the cells (H, W) that were known then; None if all
+            were from the beginning.
+    """
+
+    done: np.ndarray
+    path: np.ndarray
+    positions: np.ndarray
+    entropy: np.ndarray | None = None
+    known: Callable[[Any], np.ndarray] | None = None
+
+
+def find_known(frame: Any) -> np.ndarray:
+    """Return the cells (H, W) that the `probability` of a frame knows: `4 p (1 - p) <= 1/2`."""
+    p = frame.probability / 255.0
+    return np.asarray(4.0 * p * (1.0 - p) <= 0.5)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunData:
     """Data that the recordings of all tasks share.
@@ -177,6 +202,10 @@ class Recording(RunData, abc.ABC):
         Args:
             seed: seed of the run, to be noted.
         """
+
+    def course(self) -> Course | None:
+        """Return what a comparison on several maps shows of the run; None by default."""
+        return None
 
     @abc.abstractmethod
     def frame_image(self, frame: Any, *, scale: float = 1.0) -> Image.Image:

@@ -30,9 +30,9 @@ def volume_points(
 ) -> ScanPoints:
     """Return end points (x, y, z) of scans of a volume, and how badly they fit the map.
 
-    As `jaxplore.robot.robot.scan_points`, with states (nx,) of a quadrotor in place of poses. Rays that end early
-    without a return have met what moves: the sensors tell. Of each `GROUP` of neighbouring rays the
-    shortest is a point.
+    As `jaxplore.robot.robot.scan_points`, with states (nx,) of a quadrotor in place of poses. Rays
+    that end early without a return have met what moves: the sensors tell. Of each `GROUP` of
+    neighbouring rays the shortest is a point.
     """
 
     def place(state: StateVector, ways: Float[Array, "3 R"]) -> Float[Array, "R 3"]:

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxplore.maps.files.packing import PACKED, pack_map
-from jaxplore.maps.files.path_file import read_path_file
 from jaxplore.study.workers.task import Files, Read, Task
+from jaxplore.tasks.registry import files_of
 
 
 @dataclasses.dataclass(frozen=True)
 class InputFile:
-    """A map or path file on the user's machine, of the setting "map" or "path" of an episode.
+    """The file of a map, a path or a volume on the user's machine, of a setting of an episode.
 
     `content` is a hash of its content, with that of a map's image.
     """
@@ -23,22 +22,20 @@ class InputFile:
     content: str
 
     def read(self) -> Files:
-        """Read the file, and the image of a map, into memory."""
-        if self.setting == "map":
-            return pack_map(self.path)
-        return {Path(self.path).name: read_path_file(self.path)}
+        """Read the file, and what belongs to it, into memory."""
+        return files_of(self.setting).pack_file(self.path)
 
     def in_folder(self, folder: Path) -> str:
         """Return the path of the copy in a folder with the files of `read`."""
-        return str(folder / (PACKED if self.setting == "map" else Path(self.path).name))
+        return str(folder / (files_of(self.setting).packed or Path(self.path).name))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EpisodeTask(Task, abc.ABC):
     """Episodes of one scenario that run together.
 
-    A variant is an architecture or any other settings. `file` is the map or path file of the
-    scenario, and `copy` the path of a copy of it on this machine; None without one.
+    A variant is an architecture or any other settings. `file` is that of the map, path or volume
+    of the scenario, and `copy` the path of a copy of it on this machine; None without one.
     """
 
     name: str

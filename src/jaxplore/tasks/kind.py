@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxplore.maps.datum import Datum
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.scenes.picture import PictureScene
 from jaxplore.scenes.scene import Scene
 from jaxplore.settings.sections import RunSettings, check_section
@@ -34,6 +36,49 @@ class Shown(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class OnMaps:
+    """How runs of a kind are compared on several maps, volumes or paths.
+
+    Args:
+        files: the files in words, such as "ROS map".
+        accepted: what makes a file one of them, in words.
+        is_file: function that says whether a file of a folder is one of them.
+        read: function that reads a file, for a hash of its content; each part is one of bytes.
+        plan: function of settings that returns the true map as seen from above, and the datum to
+            which it is relative.
+        names: names of generated ones; each is the value of the kind's `selector`.
+        packed: name of the file in what `pack` returns; its own when absent.
+        pack: function that reads a file, to send it to another machine: content by name of a file.
+        build: function that builds the experiment of settings, with the rows and columns of the
+            arrays of the map, which similar maps share; None if the run chooses them.
+        variants: architectures that are compared by default.
+        with_protocol: function that merges entries over the defaults of a comparison.
+        shared: sections that all variants share, so that they are comparable.
+        start: names of the components of a start.
+    """
+
+    files: str
+    accepted: str
+    is_file: Callable[[Path], bool]
+    read: Callable[[str], tuple[bytes | None, ...]]
+    plan: Callable[[Any], tuple[OccupancyGrid, Datum]]
+    build: Callable[[Any, tuple[int, int] | None], Experiment]
+    names: tuple[str, ...] = ()
+    packed: str | None = None
+    pack: Callable[[str], dict[str, bytes]] | None = None
+    variants: tuple[str, ...] = ()
+    with_protocol: Callable[[Entries], dict[str, Any]] = dict
+    shared: tuple[str, ...] = ("robot",)
+    start: tuple[str, ...] = ("x", "y", "yaw")
+
+    def pack_file(self, path: str) -> dict[str, bytes]:
+        """Return the content of a file and of those that belong to it, by name."""
+        if self.pack is not None:
+            return self.pack(path)
+        return {Path(path).name: self.read(path)[0] or b""}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Kind:
     """A kind of task. All that the commands, the pages and the monitors know of it stands here.
 
@@ -57,6 +102,7 @@ class Kind:
         architectures: function of entries that returns what is compared by default.
         with_start: function that adds a start to entries where the map has none.
         shown: how its recordings are shown; by the pictures of its animation when absent.
+        on_maps: how its runs are compared on several maps; they are not when absent.
     """
 
     name: str
@@ -75,6 +121,7 @@ class Kind:
     architectures: Callable[[dict[str, Any]], tuple[str, ...]] = lambda _: ()
     with_start: Callable[[dict[str, Any]], dict[str, Any]] = lambda entries: entries
     shown: tuple[Shown, ...] = ()
+    on_maps: OnMaps | None = None
 
     def make_settings(self, entries: dict[str, Any]) -> RunSettings:
         """Check entries, and fill in defaults.

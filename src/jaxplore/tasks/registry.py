@@ -13,7 +13,7 @@ from jaxplore.settings.readers import given_leaves, list_unread, refuse, remove
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.tasks.exploration.kind import EXPLORATION
-from jaxplore.tasks.kind import Entries, Kind, Shown
+from jaxplore.tasks.kind import Entries, Kind, OnMaps, Shown
 from jaxplore.tasks.path.kind import PATH_FOLLOWING
 from jaxplore.tasks.volume.kind import EXPLORATION_OF_VOLUME
 
@@ -46,6 +46,15 @@ def find_kind(entries: Entries) -> Kind:
 def kind_of(settings: RunSettings) -> Kind:
     """Return the kind of task of checked settings."""
     return next(kind for kind in KINDS.values() if kind.settings is type(settings))
+
+
+def files_of(selector: str) -> OnMaps:
+    """Return how the files of the kind that a setting selects are read, sent and compared."""
+    found = next(each.on_maps for each in KINDS.values() if each.selector == selector)
+    if found is None:
+        known = ", ".join(each.selector for each in KINDS.values() if each.on_maps)
+        raise ValueError(f"runs of {selector} are not compared on maps; accepted: {known}")
+    return found
 
 
 def make_settings(entries: dict[str, Any]) -> RunSettings:

@@ -17,7 +17,7 @@ from jaxplore.report.exploration.members import members_figure
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.plots import coverage_figure, map_figure
 from jaxplore.report.exploration.progress import is_known_map, progress
-from jaxplore.report.recording import Recording
+from jaxplore.report.recording import Course, Recording, find_known
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,6 +41,11 @@ class ExplorationRecording(ExplorationData, Recording):
     def metrics(self, *, seed: int | None = None) -> ExplorationMetrics:
         """Compute the metrics of the run."""
         return compute_metrics(self, seed=seed)
+
+    def course(self) -> Course:
+        """Return what a comparison on several maps shows of the run."""
+        _, coverage, entropy, path = progress(self)
+        return Course(coverage, path, self.positions[None], entropy, find_known)
 
     def frame_image(self, frame: ExplorationFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a frame as in the animation."""

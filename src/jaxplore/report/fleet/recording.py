@@ -15,7 +15,7 @@ from jaxplore.report.fleet.animation import compute_palette, frame_image, painte
 from jaxplore.report.fleet.data import FleetData, FleetFrame
 from jaxplore.report.fleet.metrics import FleetMetrics, compute_metrics
 from jaxplore.report.fleet.plots import coverage_figure, map_figure
-from jaxplore.report.recording import Recording
+from jaxplore.report.recording import Course, Recording, find_known
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,6 +38,10 @@ class FleetRecording(FleetData, Recording):
     def metrics(self, *, seed: int | None = None) -> FleetMetrics:
         """Compute the metrics of the run."""
         return compute_metrics(self, seed=seed)
+
+    def course(self) -> Course:
+        """Return what a comparison on several maps shows of the run."""
+        return Course(self.coverage, self.lengths.sum(axis=0), self.trails, known=find_known)
 
     def frame_image(self, frame: FleetFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a frame as in the animation."""

@@ -16,7 +16,7 @@ from jaxplore.report.following.animation import (
 from jaxplore.report.following.data import PathData, PathFrame, speeds
 from jaxplore.report.following.metrics import PathMetrics, compute_path_metrics
 from jaxplore.report.following.plots import errors_figure, path_figure
-from jaxplore.report.recording import LiveCurves, Recording
+from jaxplore.report.recording import Course, LiveCurves, Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,6 +37,13 @@ class PathRecording(PathData, Recording):
     def metrics(self, *, seed: int | None = None) -> PathMetrics:
         """Compute the metrics of the run."""
         return compute_path_metrics(self, seed=seed)
+
+    def course(self) -> Course:
+        """Return what a comparison on several paths shows of the run: the share that is driven."""
+        driven = (self.progress - self.start_progress) / max(self.end - self.start_progress, 1e-6)
+        steps = np.linalg.norm(np.diff(self.positions.astype(np.float64), axis=0), axis=1)
+        path = np.concatenate([[0.0], np.cumsum(steps)])
+        return Course(np.clip(driven, 0.0, 1.0), path, self.positions[None])
 
     def frame_image(self, frame: PathFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a frame as in the animation."""

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from jaxplore.report.drawing import colours
 from jaxplore.report.drawing.film import FilmOptions, write_film
 from jaxplore.report.drawing.palette import fit_palette
-from jaxplore.report.recording import Recording
+from jaxplore.report.recording import Course, Recording
 from jaxplore.report.volume.data import (
     FREE,
     OCCUPIED,
@@ -57,6 +57,20 @@ class VolumeRecording(VolumeData, Recording):
     def metrics(self, *, seed: int | None = None) -> VolumeMetrics:
         """Compute the metrics of the run."""
         return compute_volume_metrics(self, seed=seed)
+
+    def course(self) -> Course:
+        """Return what a comparison on several maps shows of the run, as seen from above.
+
+        A column of voxels is known when the robot knows something solid in it: floor, wall or
+        ceiling.
+        """
+        steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
+        path = np.concatenate([[0.0], np.cumsum(steps)])
+
+        def find_columns(frame: VolumeFrame) -> np.ndarray:
+            return frame.find_occupied(self.world.shape).any(axis=0)
+
+        return Course(self.coverage, path, self.positions[None, :, :2], known=find_columns)
 
     def frame_image(self, frame: VolumeFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a level slice at the height of the robot, and below it a vertical one through it.

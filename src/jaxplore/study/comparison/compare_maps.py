@@ -3,45 +3,27 @@
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from jaxplore.maps.datum import Datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.padding import common_shapes
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.figure import PNG, figure_formats
 from jaxplore.report.folder import lock_folder
 from jaxplore.report.table import to_markdown
-from jaxplore.settings.defaults import arguments
-from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
-from jaxplore.study.comparison.maps import MapFile, read_datums, read_grids
+from jaxplore.study.comparison.episodes import MapEpisode, canonical, make_batches
+from jaxplore.study.comparison.maps import MapFile, read_plans
 from jaxplore.study.comparison.row_task import MakeRows, RowTask, make_rows
 from jaxplore.study.comparison.rows import StoredRow
 from jaxplore.study.comparison.store import Plan, Store, open_store
 from jaxplore.study.comparison.table import NEEDED, MapTable, list_failures, map_tables
 from jaxplore.study.runner import Runner
-from jaxplore.tasks.exploration.settings import OFFICE, make_exploration_settings, merge_entries
 
-PROTOCOL: dict[str, Any] = {
-    "rates": {"control": 20.0, "sensing": 10.0, "fields": 5.0},
-    "lidar": {"num_beams": 180, "max_range": 5.0},
-    "resolution": 0.1,
-    "target_coverage": 0.99,
-    "time_limit": 900.0,
-}
-"""Default settings of a comparison on maps."""
 MOST_SHAPES = 4
 """Greatest number of different shapes of maps, each with a compiled program for each variant."""
-QUADROTOR: dict[str, Any] = {
-    "lidar": {"field_of_view_degrees": 90.0, "num_beams": 46, "range_noise": 0.02},
-    "sensor_model": {"kind": "log_odds"},
-    "robot": {"radius": 0.3, "max_speed": 2.0},
-}
-"""The same for a quadrotor, whose sensor faces ahead with the same angle between beams.
-
-`two-layer` and `parallel` have other defaults than the ground vehicles' explorers; on maps all
-variants share these. The section `fields` keeps the defaults of each architecture."""
 
 
 class EpisodeDone(NamedTuple):
@@ -101,8 +83,8 @@ def compare_maps(
     """Compare variants on maps: run each on each map with each seed, and write tables and a page.
 
     Runs that are in the folder are not repeated, except failed ones. Settings that the plan does
-    not give are those of `PROTOCOL`. Ctrl-C ends the call and keeps finished runs; the same call
-    continues.
+    not give are those of the protocol of their kind of task. Ctrl-C ends the call and keeps
+    finished runs; the same call continues.
 
     Args:
         plan: maps, variants, seeds and settings; see `maps_in` for the maps of a folder.
@@ -120,17 +102,17 @@ def compare_maps(
         ChildProcessError: workers that do not start.
     """
     kinds = [kind for kind in figure_formats(figures) if kind != PNG]
-    plan = dataclasses.replace(plan, settings=with_protocol(plan.settings))
+    plan = plan.with_protocol()
     episodes = plan.episodes()
     # Before the folder is made: a start or a map may be refused.
-    episodes, grids = _with_shapes(episodes, plan.maps)
+    episodes, plans = _with_shapes(episodes, plan.maps)
+    grids, datums = ({name: both[part] for name, both in plans.items()} for part in (0, 1))
     # A second comparison would run the same runs, and `overwrite` would remove those of the first.
     with lock_folder(Path(os.path.realpath(folder)), "comparison folder"):
         store = open_store(folder, plan, overwrite=overwrite)
         with progress_bar("exploring", enabled=progress) as advance:
             advance(0.0, f"{len(episodes)} runs")
             counts = run_episodes(episodes, store, runner, _show(advance))
-        datums = read_datums(plan.maps)
         page = store.write_page(grids, datums)
         if kinds:
             store.write_figures(grids, kinds, datums)
@@ -147,30 +129,28 @@ def compare_maps(
 
 def _with_shapes(
     episodes: Sequence[MapEpisode], maps: Sequence[MapFile]
-) -> tuple[tuple[MapEpisode, ...], dict[str, OccupancyGrid]]:
-    """Give the episodes common shapes of maps; return them, and the maps of the first variant.
+) -> tuple[tuple[MapEpisode, ...], dict[str, tuple[OccupancyGrid, Datum]]]:
+    """Give the episodes common shapes of maps; return them, and the plans of the first variant.
 
     Similar maps share a compiled program, so time and memory do not grow with their number.
     """
     variants = {each.explorer: each for each in reversed(episodes)}
-    # The office stands in for any map: only the resolution and how images are read count.
-    settings = {
-        name: make_exploration_settings({**each.entries, "map": OFFICE})
-        for name, each in variants.items()
-    }
-    resolutions = {name: each.resolution for name, each in settings.items()}
-    reading = arguments(settings[episodes[0].explorer].map_file, OccupancyGrid.from_ros)
-    grids = {each: read_grids(maps, each, reading) for each in dict.fromkeys(resolutions.values())}
+    read: dict[str, dict[str, tuple[OccupancyGrid, Datum]]] = {}
+    plans = {}
+    for name, each in variants.items():
+        # Variants that read a map alike share what was read.
+        how = canonical({part: each.settings.get(part) for part in ("resolution", "map_file")})
+        plans[name] = read[how] = read.get(how) or read_plans(maps, each.entries)
     shapes = {
-        each: common_shapes({name: grid.shape for name, grid in found.items()}, MOST_SHAPES)
-        for each, found in grids.items()
+        name: common_shapes({one: grid.shape for one, (grid, _) in found.items()}, MOST_SHAPES)
+        for name, found in plans.items()
     }
     # A map that cannot be read has no shape: its episodes fail with the reason.
     placed = tuple(
-        dataclasses.replace(each, map_shape=shapes[resolutions[each.explorer]].get(each.map))
+        dataclasses.replace(each, map_shape=shapes[each.explorer].get(each.map))
         for each in episodes
     )
-    return placed, grids[resolutions[episodes[0].explorer]]
+    return placed, plans[episodes[0].explorer]
 
 
 def run_episodes(
@@ -212,14 +192,6 @@ def run_episodes(
         # Finished runs are in the table after an error too.
         store.write_results()
     return RunCounts(num_done, num_failed, len(episodes) - num_left, is_interrupted)
-
-
-def with_protocol(settings: Entries) -> dict[str, Any]:
-    """Merge given settings over the default settings of a comparison on maps."""
-    robot = settings.get("robot")
-    flies = isinstance(robot, Mapping) and robot.get("model") == "quadrotor"
-    protocol = merge_entries(PROTOCOL, QUADROTOR) if flies else PROTOCOL
-    return merge_entries(protocol, dict(settings))
 
 
 def _in_lines(rows: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:

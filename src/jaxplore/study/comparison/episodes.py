@@ -9,16 +9,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxplore._spelling import match_spelling
-from jaxplore.settings.architectures import ARCHITECTURES
+from jaxplore.settings.accepted_values import choices
 from jaxplore.settings.code_names import is_own
-from jaxplore.study.comparison.maps import MapFile
+from jaxplore.settings.sections import RunSettings
+from jaxplore.study.comparison.maps import MapFile, kind_of_map
 from jaxplore.study.seeds import check_number_of_runs, check_number_of_seeds
-from jaxplore.tasks.exploration.settings import (
-    OFFICE,
-    Settings,
-    make_exploration_settings,
-    merge_entries,
-)
+from jaxplore.tasks.exploration.settings import merge_entries
+from jaxplore.tasks.kind import Kind
+from jaxplore.tasks.registry import KINDS, default_kind, keep_read, without_unread
 from jaxplore.tasks.user_code import hash_user_code, import_robot, import_rule
 
 FORMAT = 3
@@ -35,16 +33,19 @@ class MapEpisode:
 
     Args:
         map: name of the map.
-        path: path of the map's YAML file.
+        path: path of the map's file, or the name of a generated one.
         content: hash of the map.
-        explorer: name of the variant: the setting `architecture`, unless `settings` have one.
+        explorer: name of the variant. It is the setting `architecture`, unless `settings` have one
+            or there is no such setting.
         seed: the setting `seed`.
         settings: entries of all other settings, plain values for JSON. Without a `start` the robot
-            begins at the position with the greatest clearance, heading along x.
+            begins where its kind of task says: on a ROS map at the position with the greatest
+            clearance, heading along x.
         batch: number of runs of consecutive seeds that are computed together by `jax.vmap`: those
             with the same `seed // batch`. Rounding depends on it.
         code: hash of the user's modules that the settings name; empty if they name none.
-        copy: path of the YAML file on this machine; `path` when absent.
+        copy: path of the file on this machine; `path` when absent.
+        selector: setting that names the map.
         map_shape: rows and columns of the arrays of the map, which maps of similar size share;
             chosen for the map alone when absent.
     """
@@ -59,6 +60,7 @@ class MapEpisode:
     code: str = ""
     copy: str | None = None
     map_shape: tuple[int, int] | None = None
+    selector: str = default_kind().selector
 
     @functools.cached_property
     def id(self) -> str:
@@ -73,13 +75,21 @@ class MapEpisode:
             del content["batch"]
         if not self.code:
             del content["code"]
+        if self.selector == default_kind().selector:
+            del content["selector"]
         return hashlib.sha256(canonical(content).encode()).hexdigest()[:20]
 
     @property
     def entries(self) -> dict[str, Any]:
         """Entries of all settings."""
-        own = {"map": self.copy or self.path, "seed": self.seed}
-        return {"architecture": self.explorer, **self.settings, **own}
+        own = {self.selector: self.copy or self.path, "seed": self.seed}
+        named = {"architecture": self.explorer} if _architectures(self.kind) else {}
+        return {**named, **self.settings, **own}
+
+    @property
+    def kind(self) -> Kind:
+        """Kind of task."""
+        return kind_of_map(self.selector)[0]
 
     @property
     def seeds(self) -> range:
@@ -109,43 +119,48 @@ def make_episodes(
     seeds: Sequence[int],
     settings: Entries,
     batch: int = 1,
+    *,
+    asked: Entries | None = None,
 ) -> tuple[MapEpisode, ...]:
     """Make an episode for each map, variant and seed, in this order.
 
     Variants are architectures, or settings entries that differ, by name. Settings are the entries
-    that all episodes share; see `common_settings`.
+    that all episodes share; see `common_settings`. An episode has those that its run reads. Those
+    that were `asked` must be read by some run, all of them when absent; the others are defaults.
 
     Raises:
-        ValueError: a batch < 1; no maps, variants or seeds, or one of them twice; an unknown
-            architecture; settings that are not accepted; variants with different robots.
+        ValueError: a batch < 1; no maps, variants or seeds, or one of them twice; maps of different
+            kinds; an unknown architecture; settings that are not accepted or that no run reads;
+            variants with different robots.
     """
     if batch < 1:
         raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
     check_number_of_seeds("seeds", seeds)
     check_number_of_runs(len(maps) * len(variants) * len(seeds))
-    kinds: dict[str, list[Any]] = {
+    given: dict[str, list[Any]] = {
         "maps": [each.name for each in maps],
         "variants": list(variants),
         "seeds": list(seeds),
     }
-    for kind, values in kinds.items():
+    for name, values in given.items():
         if not values or len(set(values)) != len(values):
-            raise ValueError(f"{kind} is {values}; accepted: different ones, at least one")
-    common = common_settings(settings)
-    own = {
-        # `common_settings` leaves out the architecture, which here belongs to the variant.
-        name: {**common_settings(merge_entries(common, entries)), **_architecture(entries)}
-        for name, entries in variant_entries(variants).items()
-    }
+            raise ValueError(f"{name} is {values}; accepted: different ones, at least one")
+    selectors = list(dict.fromkeys(each.selector for each in maps))
+    if len(selectors) > 1:
+        raise ValueError(f"maps are of the kinds {', '.join(selectors)}; accepted: one of them")
+    kind, compared = kind_of_map(selectors[0])
     # The settings check the seeds; the least and the greatest stand for all.
     for seed in (min(seeds), max(seeds)):
-        make_exploration_settings({"map": OFFICE, "seed": seed})
-    # The office stands in for the maps, which have no part in this check.
-    settings_of = {
-        name: make_exploration_settings({"architecture": name, **entries, "map": OFFICE})
-        for name, entries in own.items()
-    }
-    _check_same_robot(settings_of)
+        kind.make_settings({**next(iter(kind.places.values())), "seed": seed})
+    everything, given_ones = (
+        _runs(maps, variants, kind, common_settings(some, kind))
+        for some in (settings, settings if asked is None else asked)
+    )
+    keep_read(given_ones)
+    read = {name: without_unread(run) for name, run in everything.items()}
+    # With what a variant does not read: its default there is no difference of robots.
+    settings_of = {name: kind.make_settings(everything[name, maps[0].name]) for name, _ in read}
+    _check_same_robot(settings_of, compared.shared)
     codes = {name: _code(each) for name, each in settings_of.items()}
     return tuple(
         MapEpisode(
@@ -154,21 +169,56 @@ def make_episodes(
             each.content,
             name,
             seed,
-            {**own[name], **({} if each.start is None else {"start": list(each.start)})},
+            {
+                **_without_own(read[name, each.name], name),
+                **({} if each.start is None else {"start": list(each.start)}),
+            },
             batch,
             codes[name],
+            selector=each.selector,
         )
         for each in maps
-        for name in own
+        for name in settings_of
         for seed in seeds
     )
 
 
-def variant_entries(
+def _runs(
+    maps: Sequence[MapFile],
     variants: Sequence[str] | Mapping[str, Entries],
+    kind: Kind,
+    common: Entries,
+) -> dict[tuple[str, str], dict[str, Any]]:
+    """Return the entries of each variant on each map, by their names."""
+    runs = {}
+    for name, entries in variant_entries(variants, kind).items():
+        # `common_settings` leaves out the architecture, which here belongs to the variant.
+        shared = common_settings(merge_entries(dict(common), entries), kind)
+        own = {"architecture": name} if _architectures(kind) else {}
+        own |= {key: entries[key] for key in ("architecture",) if key in entries}
+        for each in maps:
+            runs[name, each.name] = {**shared, **own, kind.selector: each.path}
+    return runs
+
+
+def _without_own(entries: Entries, variant: str) -> dict[str, Any]:
+    """Return entries without the map, the seed, and an architecture by which a variant is named."""
+    left = {"architecture"} if entries.get("architecture") == variant else set[str]()
+    left |= {"seed"} | {kind.selector for kind in KINDS.values()}
+    return {name: value for name, value in entries.items() if name not in left}
+
+
+def _architectures(kind: Kind) -> tuple[str, ...]:
+    """Return the architectures of a kind of task; none if it has no such setting."""
+    has_some = "architecture" in kind.settings.model_fields
+    return choices(kind.settings, "architecture") if has_some else ()
+
+
+def variant_entries(
+    variants: Sequence[str] | Mapping[str, Entries], kind: Kind
 ) -> dict[str, dict[str, Any]]:
     """Return the settings entries of each variant; empty for an architecture."""
-    known = ARCHITECTURES
+    known = _architectures(kind)
     found: dict[str, dict[str, Any]] = {}
     for given in variants:
         name = match_spelling(given, known)
@@ -179,45 +229,40 @@ def variant_entries(
         if name not in known and not is_own(name) and "architecture" not in entries:
             if not entries:
                 raise ValueError(f"architecture is {name!r}; accepted: {', '.join(known)}")
-            entries["architecture"] = Settings.model_fields["architecture"].default
+            if known:
+                entries["architecture"] = kind.settings.model_fields["architecture"].default
         found[name] = entries
     return found
 
 
-def _code(settings: Settings) -> str:
+def _code(settings: RunSettings) -> str:
     """Check what of the user's own settings name, and return the hash of its code."""
-    if is_own(settings.architecture):
-        import_rule(settings.architecture)
-    if is_own(settings.robot.model):
-        import_robot(settings.robot.model)
+    architecture: Any = getattr(settings, "architecture", None)
+    model: Any = getattr(getattr(settings, "robot", None), "model", None)
+    if is_own(architecture):
+        import_rule(architecture)
+    if is_own(model):
+        import_robot(model)
     return hash_user_code(settings)
 
 
-def _architecture(entries: Entries) -> dict[str, Any]:
-    return {name: entries[name] for name in ("architecture",) if name in entries}
-
-
-def common_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+def common_settings(settings: Mapping[str, Any], kind: Kind | None = None) -> dict[str, Any]:
     """Normalise the entries that all runs share: 900 and 900.0 are the same time limit.
 
     Map, architecture and seed belong to each run and are left out.
     """
-    shared = {name: value for name, value in settings.items() if name not in _OWN}
-    given = make_exploration_settings({**shared, "map": OFFICE})
-    return given.model_dump(mode="json", exclude_unset=True, exclude=set(_OWN))
+    kind = default_kind() if kind is None else kind
+    own = {kind.selector, "architecture", "seed"}
+    shared = {name: value for name, value in settings.items() if name not in own}
+    given = kind.make_settings({**shared, **next(iter(kind.places.values()))})
+    return given.model_dump(mode="json", exclude_unset=True, exclude=own)
 
 
-_OWN = ("map", "architecture", "seed")
-"""Settings that belong to each run."""
-_ALIKE = ("robot", "lidar", "camera", "sensor_model", "rates")
-"""Sections that all variants share, so that they are comparable."""
-
-
-def _check_same_robot(settings: Mapping[str, Settings]) -> None:
+def _check_same_robot(settings: Mapping[str, RunSettings], sections: Sequence[str]) -> None:
     """Check that all variants have the same robot, sensors and rates."""
     first, *others = settings
     for other in others:
-        for section in _ALIKE:
+        for section in sections:
             if getattr(settings[first], section) != getattr(settings[other], section):
                 raise ValueError(
                     f"variants {first} and {other} differ in the settings {section}; accepted: "

@@ -1,4 +1,4 @@
-"""Maps of a comparison: ROS maps in a folder, and start poses."""
+"""Maps of a comparison: files in folders or names of generated ones, and their starts."""
 
 import contextlib
 import dataclasses
@@ -10,74 +10,124 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxplore._files import read_yaml
 from jaxplore.maps.datum import Datum
-from jaxplore.maps.files.packing import read_files
-from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.tasks.exploration.settings import read_settings
+from jaxplore.tasks.kind import Entries, Kind, OnMaps
+from jaxplore.tasks.registry import KINDS, default_kind, files_of
 
 STARTS = "starts.yaml"
-"""File in a folder of maps with start poses, NAME: [x, y, yaw]."""
+"""File in a folder of maps with starts, NAME: [x, y, yaw]."""
 
-Start = tuple[float, float, float]
-"""Pose (x, y, yaw) [m, m, rad]."""
-
-_SUFFIXES = (".yaml", ".yml")
+Start = tuple[float, ...]
+"""Pose (x, y, yaw), or (x, y, z, yaw) in a volume [m, rad]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class MapFile:
-    """A ROS map: its name in the results, and the absolute path of its YAML file.
+    """A map, a volume or a path: its name in the results, and the absolute path of its file.
 
-    `content` is a hash of that file and of its image; a missing image counts as an empty one. The
-    start is a pose; the position with the greatest clearance, heading along x, when None.
+    `content` is a hash of that file and of what belongs to it; a missing image counts as an empty
+    one. The path of a generated one is its name, and its content is empty. `selector` is the
+    setting that names it. The start is a pose; that of the kind of task when None.
     """
 
     name: str
     path: str
     content: str
     start: Start | None = None
+    selector: str = default_kind().selector
 
 
-def maps_in(folder: str | os.PathLike[str]) -> tuple[MapFile, ...]:
-    """Find the ROS maps in a folder and its subfolders, sorted by name.
+def kind_of_map(selector: str) -> tuple[Kind, OnMaps]:
+    """Return the kind of task that a setting selects, and how it is compared on maps."""
+    kind = next(each for each in KINDS.values() if each.selector == selector)
+    return kind, files_of(selector)
 
-    A map is a YAML file with an image and a resolution. Its name is the stem of the file. If that
-    is ambiguous or just `map`, it is the name of its folder; if that is ambiguous too, FOLDER-FILE.
-    Start poses are read from `starts.yaml` in the folder.
+
+def maps_in(places: str | os.PathLike[str], kind: Kind | None = None) -> tuple[MapFile, ...]:
+    """Find the maps of a comparison, sorted by name.
+
+    `places` is a folder, a file or the name of a generated one, or several separated by commas. All
+    are of one kind of task: the first one that has files there when `kind` is absent. Folders are
+    searched with the folders in them. The name of a map is the stem of its file. If that is
+    ambiguous or just `map`, it is the name of its folder; if that is ambiguous too, FOLDER-FILE.
+    Starts are read from `starts.yaml` in a folder.
 
     Raises:
-        ValueError: no folder, a folder without maps, two maps with the same name, start poses that
-            are not accepted.
+        ValueError: a folder that cannot be read or has no maps, a file of another kind, two maps
+            with the same name, starts that are not accepted.
     """
-    top = Path(os.path.realpath(folder))
+    whole = os.fspath(places)
+    parts = [whole] if "," not in whole or os.path.lexists(whole) else whole.split(",")
+    named = [part.strip() for part in parts]
+    listed = {part: _files_at(part) for part in named if not _is_generated(part)}
+    kinds = [each for each in KINDS.values() if each.on_maps] if kind is None else [kind]
+    some = next((each for each in kinds if _has_some(each, named, listed)), kinds[0])
+    _, compared = kind_of_map(some.selector)
+    paths, generated = list[Path](), list[MapFile]()
+    for part in named:
+        if part in compared.names:
+            generated.append(MapFile(part, part, "", selector=some.selector))
+            continue
+        found = [path for path in listed.get(part, ()) if compared.is_file(path)]
+        if not found:
+            what = (
+                f"folder of maps {part!r} holds no {compared.files}, neither do the folders in it"
+            )
+            if not os.path.isdir(part):
+                what = f"{part!r} is no {compared.files}"
+            names = f", or {', '.join(compared.names)}" if compared.names else ""
+            raise ValueError(f"{what}; accepted: {compared.accepted}{names}")
+        paths += found
+    files = [
+        MapFile(name, str(path), _hash(compared.read(str(path))), selector=some.selector)
+        for name, path in zip(_names(paths), paths, strict=True)
+    ]
+    maps = tuple(sorted([*files, *generated], key=lambda each: (each.name, each.path)))
+    _check_names(maps)
+    for part in listed:
+        file = Path(os.path.realpath(part)) / STARTS
+        maps = with_starts(maps, file) if file.is_file() else maps
+    return maps
+
+
+def _is_generated(name: str) -> bool:
+    return any(each.on_maps is not None and name in each.on_maps.names for each in KINDS.values())
+
+
+def _all_files() -> str:
+    return ", ".join(f"{each.on_maps.files}s" for each in KINDS.values() if each.on_maps)
+
+
+def _files_at(place: str) -> list[Path]:
+    """Return the files of a folder and of the folders in it, or a file itself."""
+    top = Path(os.path.realpath(place))
+    if top.is_file():
+        return [top]
     try:
         inner = sorted(path for path in top.iterdir() if path.is_dir() and path.name[0] != ".")
-        files = [path for each in (top, *inner) for path in sorted(each.iterdir())]
+        return [path for each in (top, *inner) for path in sorted(each.iterdir())]
     except OSError as error:
         raise ValueError(
-            f"folder of maps {os.fspath(folder)!r} cannot be read: {error.strerror}; accepted: a "
-            "folder with ROS maps"
+            f"folder of maps {place!r} cannot be read: {error.strerror}; accepted: a folder with "
+            f"{_all_files()}"
         ) from None
-    paths = [path for path in files if path.suffix.lower() in _SUFFIXES and _is_map(path)]
-    if not paths:
-        raise ValueError(
-            f"folder of maps {os.fspath(folder)!r} holds no ROS map, neither do the folders in it; "
-            "accepted: YAML files with an image and a resolution"
-        )
-    maps = tuple(
-        MapFile(name, str(path), _content(path))
-        for name, path in sorted(zip(_names(paths), paths, strict=True))
-    )
-    file = top / STARTS
-    return with_starts(maps, file) if file.is_file() else maps
+
+
+def _has_some(kind: Kind, named: Sequence[str], listed: Mapping[str, Sequence[Path]]) -> bool:
+    compared = kind.on_maps
+    if compared is None:
+        return False
+    names = any(part in compared.names for part in named)
+    return names or any(compared.is_file(path) for found in listed.values() for path in found)
 
 
 def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tuple[MapFile, ...]:
-    """Set the start poses of maps from a YAML file with a mapping NAME: [x, y, yaw] [m, m, rad].
+    """Set the starts of maps from a YAML file, a mapping NAME: [x, y, yaw] [m, m, rad].
 
-    A map that is not in the file keeps its start. An unknown name raises a ValueError.
+    In a volume it is [x, y, z, yaw]. A map that is not in the file keeps its start. An unknown name
+    raises a ValueError.
     """
     starts = {str(name): value for name, value in read_settings(file).items()}
     known = [each.name for each in maps]
@@ -87,60 +137,32 @@ def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tupl
                 f"{os.fspath(file)} has a start on {name!r}; accepted: the maps {', '.join(known)}"
             )
     return tuple(
-        dataclasses.replace(each, start=_start(file, each.name, starts[each.name]))
+        dataclasses.replace(each, start=_start(file, each, starts[each.name]))
         if each.name in starts
         else each
         for each in maps
     )
 
 
-def read_grid(
-    path: str | os.PathLike[str], resolution: float, reading: Mapping[str, Any] | None = None
-) -> OccupancyGrid:
-    """Read a ROS map at the resolution of a run [m]; a finer one is resampled, a coarser one kept.
+def read_plans(maps: Sequence[MapFile], entries: Entries) -> dict[str, tuple[OccupancyGrid, Datum]]:
+    """Return the plan of each map by name, and its datum, without maps that cannot be read.
 
-    It is relative to its datum, as in a run. `reading` are arguments of `OccupancyGrid.from_ros`.
+    The entries are those of the runs.
     """
-    grid = OccupancyGrid.from_ros(path, datum=map_datum(path), **(reading or {}))
-    # The tolerance keeps a map from resampling when both resolutions differ by rounding only.
-    is_finer = grid.resolution < resolution * (1.0 - 1e-6)
-    return grid.resample(resolution) if is_finer else grid
-
-
-def read_grids(
-    maps: Sequence[MapFile], resolution: float, reading: Mapping[str, Any] | None = None
-) -> dict[str, OccupancyGrid]:
-    """Read maps by name, without those that cannot be read; see `read_grid`."""
-    grids = {}
+    plans = {}
     for each in maps:
+        kind, compared = kind_of_map(each.selector)
         with contextlib.suppress(ValueError):
-            grids[each.name] = read_grid(each.path, resolution, reading)
-    return grids
+            run = kind.make_settings({**entries, each.selector: each.path})
+            plans[each.name] = compared.plan(run)
+    return plans
 
 
-def read_datums(maps: Sequence[MapFile]) -> dict[str, Datum]:
-    """Read the datums of maps by name, without those of maps that cannot be read."""
-    datums = {}
-    for each in maps:
-        with contextlib.suppress(ValueError):
-            datums[each.name] = map_datum(each.path)
-    return datums
-
-
-def _is_map(path: Path) -> bool:
-    try:
-        entries = read_yaml(path)
-    except ValueError:
-        return False
-    return "image" in entries and "resolution" in entries
-
-
-def _content(path: Path) -> str:
-    parts = [each or b"" for each in read_files(path)]
+def _hash(parts: Sequence[bytes | None]) -> str:
     # Hashes are hashed, so that bytes that move from one file to the other change the result.
     whole = hashlib.sha256()
     for part in parts:
-        whole.update(hashlib.sha256(part).digest())
+        whole.update(hashlib.sha256(part or b"").digest())
     return whole.hexdigest()[:20]
 
 
@@ -151,27 +173,30 @@ def _names(paths: list[Path]) -> list[str]:
         for path in paths
     ]
     times = Counter(short)
-    names = [
+    return [
         name if times[name] == 1 else f"{path.parent.name}-{path.stem}"
         for name, path in zip(short, paths, strict=True)
     ]
+
+
+def _check_names(maps: Sequence[MapFile]) -> None:
     # Results are listed by name, so no two maps may share one.
-    for name, number in Counter(names).items():
+    for name, number in Counter(each.name for each in maps).items():
         if number > 1:
-            same = [str(path) for each, path in zip(names, paths, strict=True) if each == name]
+            same = [each.path for each in maps if each.name == name]
             raise ValueError(f"two maps have the name {name}: {', '.join(same)}; accepted: one")
-    return names
 
 
-def _start(file: str | os.PathLike[str], name: str, value: Any) -> Start:
+def _start(file: str | os.PathLike[str], map_: MapFile, value: Any) -> Start:
+    names = kind_of_map(map_.selector)[1].start
+    units = ", ".join("rad" if name == "yaw" else "m" for name in names)
     reason = (
-        f"{os.fspath(file)}: the start on {name} is {value!r}; accepted: [x, y, yaw], finite "
-        "numbers [m, m, rad]"
+        f"{os.fspath(file)}: the start on {map_.name} is {value!r}; accepted: "
+        f"[{', '.join(names)}], finite numbers [{units}]"
     )
-    if not isinstance(value, list | tuple) or len(value) != 3:
+    if not isinstance(value, list | tuple) or len(value) != len(names):
         raise ValueError(reason)
     for each in value:
         if isinstance(each, bool) or not isinstance(each, int | float) or not math.isfinite(each):
             raise ValueError(reason)
-    x, y, yaw = map(float, value)
-    return x, y, yaw
+    return tuple(map(float, value))

@@ -45,17 +45,20 @@
     context.imageSmoothingEnabled = false;
     context.drawImage(run.small, 0, 0, canvas.width, canvas.height);
     const last = indexAt(run.time, time);
-    context.strokeStyle = context.fillStyle = data.path;
-    context.lineWidth = Math.max(1.5, scale);
-    context.beginPath();
-    for (let point = 0; point <= last; point++) {
-      context.lineTo(scale * run.across[point], scale * run.down[point]);
-    }
-    context.stroke();
-    context.beginPath();
     const size = Math.max(4, scale * run.radius);
-    context.arc(scale * run.across[last], scale * run.down[last], size, 0, 2 * Math.PI);
-    context.fill();
+    run.inks.forEach((ink, robot) => {
+      const across = run.across[robot], down = run.down[robot];
+      context.strokeStyle = context.fillStyle = ink;
+      context.lineWidth = Math.max(1.5, scale);
+      context.beginPath();
+      for (let point = 0; point <= last; point++) {
+        context.lineTo(scale * across[point], scale * down[point]);
+      }
+      context.stroke();
+      context.beginPath();
+      context.arc(scale * across[last], scale * down[last], size, 0, 2 * Math.PI);
+      context.fill();
+    });
     slider.value = time;
     told.textContent = `${time.toFixed(1)} s, ${(100 * run.coverage[last]).toFixed(1)} %`;
   };

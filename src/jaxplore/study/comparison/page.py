@@ -20,7 +20,7 @@ from jaxplore.report.drawing.series import line_style
 from jaxplore.report.table import to_html
 from jaxplore.study.comparison.replay import decode_cells
 from jaxplore.study.comparison.rows import Row
-from jaxplore.study.comparison.table import NEEDED, list_failures, map_tables
+from jaxplore.study.comparison.table import NEEDED, find_reference, list_failures, map_tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,9 +101,9 @@ def page(
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
         f"<style>{STYLE}</style></head><body><h1>{told}</h1>",
-        "<p>Medians [quartiles] over seeds; below them the ratio to nearest-frontier's median and "
-        "the interval that holds 95 % of it, bootstrapped over paired seeds. A run that does not "
-        "get somewhere is infinitely late.</p>",
+        "<p>Medians [quartiles] over seeds; below them the ratio to the median of "
+        f"{html.escape(find_reference(results))} and the interval that holds 95 % of it, "
+        "bootstrapped over paired seeds. A run that does not get somewhere is infinitely late.</p>",
     ]
     for line in list_failures(results):
         parts.append(f'<p class="failed">{html.escape(line)}</p>')
@@ -234,12 +234,18 @@ def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
     axes = figure.add_subplot()
     axes.imshow(coloured, origin="lower", interpolation="nearest")
     # Matplotlib centres pixels at whole numbers.
-    across, along = (place - 0.5 for place in _in_cells(row, grid, part))
-    axes.plot(across, along, color=OUTLINE, linewidth=1.2)
-    axes.plot(across[:1], along[:1], "o", color="#2a9d5c", markersize=4)
-    axes.plot(across[-1:], along[-1:], "s", color="#e07a1f", markersize=4)
+    ways = np.stack(_in_cells(row, grid, part), axis=-1) - 0.5
+    for number, (across, along) in enumerate(np.moveaxis(ways, -1, 1)):
+        axes.plot(across, along, color=_ink(number, len(ways)), linewidth=1.2)
+        axes.plot(across[:1], along[:1], "o", color="#2a9d5c", markersize=4)
+        axes.plot(across[-1:], along[-1:], "s", color="#e07a1f", markersize=4)
     axes.set_axis_off()
     return figure
+
+
+def _ink(number: int, robots: int) -> str:
+    """Return the colour of the way of a robot; those of a fleet differ."""
+    return OUTLINE if robots == 1 else str(line_style(number)["color"])
 
 
 def _colour(grid: OccupancyGrid, part: Part) -> np.ndarray:
@@ -251,10 +257,17 @@ def _colour(grid: OccupancyGrid, part: Part) -> np.ndarray:
 
 
 def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions of a run in a part of a map, as columns and rows [cells]."""
+    """Return the ways (R, K) of the robots of a run in a part of a map, columns and rows [cells].
+
+    A row has the positions of one robot after the other, K at the instants of its curves.
+    """
     x0, y0, yaw = np.asarray(grid.frame.origin, np.float64)
     cos, sin = np.cos(yaw), np.sin(yaw)
-    x, y = np.asarray(row["positions_x"]) - x0, np.asarray(row["positions_y"]) - y0
+    instants = len(row["curve_time"])
+    x, y = (
+        (np.asarray(row[f"positions_{axis}"]) - origin).reshape(-1, instants)
+        for axis, origin in (("x", x0), ("y", y0))
+    )
     across, along = (
         (cos * x + sin * y) / grid.resolution,
         (cos * y - sin * x) / grid.resolution,
@@ -276,8 +289,9 @@ def _replay(row: Row, grid: OccupancyGrid, part: Part, seen: np.ndarray) -> dict
         "coverage": np.round(row["curve_coverage"], 4).tolist(),
         "across": np.round(across, 2).tolist(),
         "down": np.round(len(seen) - along, 2).tolist(),
+        "inks": [_ink(number, len(across)) for number in range(len(across))],
         "radius": radius / grid.resolution,
-        "seen_time": row["seen_time"],
+        "seen_time": row["seen_time"] or [0.0],
         "seen": _png(seen),
     }
 
@@ -285,7 +299,7 @@ def _replay(row: Row, grid: OccupancyGrid, part: Part, seen: np.ndarray) -> dict
 def _script(replays: Sequence[dict[str, Any]], maps: Mapping[str, np.ndarray]) -> str:
     """Return the scripts of the page: the data of the replays, and the player."""
     pictures = {name: _png(coloured[::-1]) for name, coloured in maps.items()}
-    data = {"unknown": list(UNKNOWN), "path": OUTLINE, "maps": pictures, "runs": list(replays)}
+    data = {"unknown": list(UNKNOWN), "maps": pictures, "runs": list(replays)}
     # Escaped, so that no name of a map or variant can end the script element.
     told = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     code = (importlib.resources.files("jaxplore.study.comparison") / "page.js").read_text("utf-8")

@@ -3,15 +3,12 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 
-import jax
-
-from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.simulation.experiment import Experiment
 from jaxplore.study.comparison.episodes import EpisodeBatch
+from jaxplore.study.comparison.maps import kind_of_map
 from jaxplore.study.comparison.rows import Row, StoredRow, make_failed_row, make_row, store_row
 from jaxplore.study.episode import EpisodeTask, InputFile
 from jaxplore.study.experiments import SideBySide, record_alone
-from jaxplore.tasks.exploration.build import build_exploration, with_start
-from jaxplore.tasks.exploration.settings import make_exploration_settings
 
 MakeRows = Callable[[EpisodeBatch], Sequence[Row]]
 """Runs a batch of episodes and returns their rows. Other processes import it by name."""
@@ -20,23 +17,24 @@ MakeRows = Callable[[EpisodeBatch], Sequence[Row]]
 def make_rows(batch: EpisodeBatch) -> tuple[Row, ...]:
     """Run a batch of episodes and return their rows; several episodes run in one `jax.vmap`."""
     first = batch[0]
-    settings = make_exploration_settings(with_start(first.entries))
-    experiment = build_exploration(settings, first.map_shape)
+    kind, compared = kind_of_map(first.selector)
+    settings = kind.make_settings(kind.with_start(first.entries))
+
+    def build(seed: int) -> Experiment:
+        own = settings.model_copy(update={"seed": seed})
+        return compared.build(own, first.map_shape)
+
     if first.batch == 1:
-        recordings = {first.seed: record_alone(experiment)}
+        recordings = {first.seed: record_alone(build(first.seed))}
     else:
-        # On a map only the key of an experiment depends on the seed, so the experiment is built
-        # once.
-        experiments = [experiment._replace(key=jax.random.key(seed)) for seed in first.seeds]
+        experiments = [build(seed) for seed in first.seeds]
         together = SideBySide(first.batch).record("", experiments, with_frames=True)
         recordings = dict(zip(first.seeds, together, strict=True))
     rows = []
     for episode in batch:
         recording = recordings[episode.seed]
-        # Maps are always explored, so the recording has the columns of a row.
-        assert isinstance(recording, ExplorationRecording)
         # The results name the user's file and not its copy on another machine.
-        asked = settings.model_copy(update={"map": episode.path, "seed": episode.seed})
+        asked = settings.model_copy(update={first.selector: episode.path, "seed": episode.seed})
         metrics = recording.metrics(seed=episode.seed)
         rows.append(make_row(episode, recording, metrics, settings=asked))
     return tuple(rows)
@@ -57,7 +55,8 @@ class RowTask(EpisodeTask):
             name=first.id,
             variant=first.explorer,
             scenario=first.map,
-            file=InputFile("map", first.path, first.content),
+            # A generated map has no content, and no file.
+            file=InputFile(first.selector, first.path, first.content) if first.content else None,
             episodes=episodes,
             make=make,
         )

@@ -7,14 +7,12 @@ import numpy as np
 
 from jaxplore._files import parse_json
 from jaxplore._optional import import_optional
-from jaxplore.report.coverage_levels import LEVELS
-from jaxplore.report.exploration.data import ExplorationData
-from jaxplore.report.exploration.metrics import ExplorationMetrics
-from jaxplore.report.exploration.progress import progress
-from jaxplore.report.metrics import CURVE_PERIOD
+from jaxplore.report.coverage_levels import LEVELS, reach_levels
+from jaxplore.report.metrics import CURVE_PERIOD, Metrics, thin_series
+from jaxplore.report.recording import Recording
+from jaxplore.settings.sections import RunSettings
 from jaxplore.study.comparison.episodes import FORMAT, MapEpisode, canonical
-from jaxplore.study.comparison.replay import make_replay
-from jaxplore.tasks.exploration.settings import Settings
+from jaxplore.study.comparison.replay import Replay, make_replay
 
 Row = dict[str, Any]
 """Values of a run by column; None where there is no value."""
@@ -61,54 +59,77 @@ COLUMNS = {
 """Type of each column. A `list` has several numbers for a run, `binary` is a PNG.
 
 `format` is the version of the rows. `error` is the reason of a failure in one line; then the
-columns of results are empty. Times are in s, paths and distances in m, coverage is a share of the
-reachable cells and entropy in nat, as in `ExplorationMetrics`. `area_under_curve` is the mean
+columns of results are empty. Times are in s, paths and distances in m, coverage is the share of the
+task that is done (see `Course`) and entropy in nat. Of a fleet, paths are those of all robots
+together, collisions are also those of robots with one another, and positions are those of one robot
+after the other. A number that a kind of task does not have is empty. `area_under_curve` is the mean
 coverage over the time limit; a run that has ended keeps its last value. Curves and positions are
 those at the start, every half second and at the end. `seen` is the time each cell was first seen,
 as an index of `seen_time`: see `Replay`. `settings` and `versions` are JSON: all settings of the
 run, the software and the machine.
 """
 
+_NUMBERS = (
+    "is_finished",
+    "duration",
+    "final_entropy",
+    "minimum_clearance",
+    "information_per_metre",
+    "command_jerk",
+)
+"""Columns that are metrics of the same name, where a kind of task has them."""
 TIMING = ("step_ms_p50", "step_ms_p99", "loop_step_ms", "compile_seconds")
 """Columns of wall-clock times. All others are equal to the bit when a run is repeated."""
 
 
 def make_row(
     episode: MapEpisode,
-    recording: ExplorationData,
-    metrics: ExplorationMetrics,
+    recording: Recording,
+    metrics: Metrics,
     *,
-    settings: Settings,
+    settings: RunSettings,
 ) -> Row:
-    """Make the row of a run from its recording, its metrics and its settings, with the start."""
-    time, coverage, _, _ = progress(recording)
-    stride = max(1, round(CURVE_PERIOD / recording.control_period))
+    """Make the row of a run from its recording, its metrics and its settings, with the start.
+
+    Raises:
+        ValueError: a recording that has no `course`.
+    """
+    course = recording.course()
+    if course is None:
+        raise ValueError(
+            f"recording is {type(recording).__name__}, without a course; accepted: one with it"
+        )
+    time, done, period = recording.time, course.done, recording.control_period
+    stride = max(1, round(CURVE_PERIOD / period))
     kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
-    replay = make_replay(recording)
-    compute, curve, path = metrics.compute, metrics.coverage_curve, metrics.path_length
+    replay = (
+        Replay([], None) if course.known is None else make_replay(recording.frames, course.known)
+    )
+    curve = {"time": time, "coverage": done, "path": course.path}
+    curve |= {} if course.entropy is None else {"entropy": course.entropy}
+    compute, path = metrics.compute, float(course.path[-1])
+    x, y = (course.positions[:, kept, axis].reshape(-1).tolist() for axis in (0, 1))
+    numbers = {name: getattr(metrics, name, None) for name in _NUMBERS}
+    contacts = [getattr(metrics, name, 0) for name in ("collisions", "contacts")]
+    levels = reach_levels(done, course.path, period)
     return {
+        **dict.fromkeys(COLUMNS),
         **_first_columns(episode, None),
-        "is_finished": metrics.is_finished,
-        "coverage": metrics.coverage,
-        **{f"time_to_{level}": metrics.time_to[str(level)] for level in LEVELS},
-        **{f"path_to_{level}": metrics.path_to[str(level)] for level in LEVELS},
+        **numbers,
+        "coverage": float(done[-1]),
+        **{f"{name}_{level}": levels[name][str(level)] for name in levels for level in LEVELS},
         "path_length": path,
-        "duration": metrics.duration,
-        "final_entropy": metrics.final_entropy,
-        "area_under_curve": _mean_over(time, coverage, settings.time_limit),
-        "collisions": metrics.collisions,
-        "collisions_per_100m": 100.0 * metrics.collisions / path if path > 0.0 else None,
-        "minimum_clearance": metrics.minimum_clearance,
-        "information_per_metre": metrics.information_per_metre,
-        "command_jerk": metrics.command_jerk,
+        "area_under_curve": _mean_over(time, done, settings.time_limit),
+        "collisions": sum(contacts),
+        "collisions_per_100m": 100.0 * sum(contacts) / path if path > 0.0 else None,
         "step_ms_p50": compute.step_ms_p50,
         "step_ms_p99": compute.step_ms_p99,
         "loop_step_ms": compute.loop_step_ms,
         "compile_seconds": compute.compile_seconds,
         "time_limit": settings.time_limit,
-        **{f"curve_{name}": curve[name] for name in ("time", "coverage", "path", "entropy")},
-        "positions_x": recording.positions[kept, 0].tolist(),
-        "positions_y": recording.positions[kept, 1].tolist(),
+        **{f"curve_{name}": values for name, values in thin_series(curve, period).items()},
+        "positions_x": x,
+        "positions_y": y,
         "seen_time": replay.times,
         "seen": replay.picture,
         "settings": canonical(settings.model_dump(mode="json")),
@@ -121,7 +142,7 @@ def make_failed_row(episode: MapEpisode, error: str) -> Row:
     row: Row = dict.fromkeys(COLUMNS)
     row |= _first_columns(episode, " ".join(error.split()) or "unknown")
     # The results name the user's file and not its copy on another machine.
-    entries = {**episode.entries, "map": episode.path}
+    entries = {**episode.entries, episode.selector: episode.path}
     row |= {"time_limit": episode.settings.get("time_limit"), "settings": canonical(entries)}
     return row
 
@@ -159,12 +180,14 @@ def is_row(row: Row, id_: str) -> bool:
             [np.asarray(row[name], np.float64) for name in together]
             for together in (("curve_time", "curve_coverage"), ("positions_x", "positions_y"))
         ]
+        is_whole = len(lists[1][0]) % len(lists[0][0]) == 0
         radius = parse_json(row["settings"])["robot"]["radius"]
         numbers = [row["duration"], row["time_limit"], radius]
         return (
-            all(len(a) == len(b) > 0 and np.isfinite([*a, *b]).all() for a, b in lists)
+            is_whole
+            and all(len(a) == len(b) > 0 and np.isfinite([*a, *b]).all() for a, b in lists)
             and bool(np.isfinite([*numbers, *row["seen_time"]]).all())
-            and isinstance(row["seen"], bytes)
+            and isinstance(row["seen"], bytes | None)
         )
     except (ValueError, TypeError, LookupError):
         return False

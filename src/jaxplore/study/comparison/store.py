@@ -25,9 +25,11 @@ from jaxplore.study.comparison.episodes import (
     make_episodes,
     variant_entries,
 )
-from jaxplore.study.comparison.maps import MapFile
+from jaxplore.study.comparison.maps import MapFile, kind_of_map
 from jaxplore.study.comparison.page import NO_DATUMS, SHOWN, page, page_figures
 from jaxplore.study.comparison.rows import KEYS, Row, StoredRow, is_row, schema
+from jaxplore.tasks.kind import Kind
+from jaxplore.tasks.registry import default_kind, files_of
 
 MARK = "comparison.json"
 """File by which a comparison is recognised: version of the format, and the plan."""
@@ -59,6 +61,7 @@ class Plan:
         seeds: seeds of the runs of each variant.
         settings: settings entries that all runs share.
         batch: runs computed side by side.
+        asked: settings of which each must be read by some run; all when absent.
     """
 
     maps: tuple[MapFile, ...]
@@ -66,17 +69,33 @@ class Plan:
     seeds: Sequence[int]
     settings: Entries = dataclasses.field(default_factory=dict)
     batch: int = 1
+    asked: Entries | None = None
 
     def episodes(self) -> tuple[MapEpisode, ...]:
         """Return all runs; see `make_episodes`."""
-        return make_episodes(self.maps, self.variants, self.seeds, self.settings, self.batch)
+        return make_episodes(
+            self.maps, self.variants, self.seeds, self.settings, self.batch, asked=self.asked
+        )
+
+    @property
+    def kind(self) -> Kind:
+        """Kind of task of the runs, that of the first map."""
+        return kind_of_map(self.maps[0].selector)[0] if self.maps else default_kind()
+
+    def with_protocol(self) -> "Plan":
+        """Return the plan with its settings merged over the defaults of a comparison."""
+        settings = files_of(self.kind.selector).with_protocol(self.settings)
+        asked = self.settings if self.asked is None else self.asked
+        return dataclasses.replace(self, settings=settings, asked=asked)
 
     def document(self) -> dict[str, Any]:
         """Return the plan as plain values for JSON."""
-        own = {name: each for name, each in variant_entries(self.variants).items() if each}
+        own = {
+            name: each for name, each in variant_entries(self.variants, self.kind).items() if each
+        }
         return {
             "format": FORMAT,
-            "settings": common_settings(self.settings),
+            "settings": common_settings(self.settings, self.kind),
             "maps": {
                 each.name: {
                     "path": each.path,
@@ -89,6 +108,7 @@ class Plan:
             **({"variants": own} if own else {}),
             "seeds": list(self.seeds),
             "batch": self.batch,
+            **({} if self.kind is default_kind() else {"kind": self.kind.name}),
         }
 
 
@@ -298,6 +318,7 @@ def _together(
             **_flat(each["settings"]),
             **_flat({name: each.get("variants", {}).get(name, {}) for name in both}, "variant "),
             "batch": each.get("batch", 1),
+            "kind": each.get("kind", default_kind().name),
         }
         for each in (former, asked)
     )
@@ -326,6 +347,7 @@ def _together(
         **({"variants": variants} if variants else {}),
         "seeds": sorted({*former["seeds"], *asked["seeds"]}),
         "batch": asked["batch"],
+        **{name: asked[name] for name in ("kind",) if name in asked},
     }
 
 

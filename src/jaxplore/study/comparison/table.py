@@ -9,7 +9,7 @@ from jaxplore.report.statistics import Ratio, paired_ratio
 from jaxplore.study.comparison.rows import Row
 
 REFERENCE = "nearest-frontier"
-"""Reference variant, with which the others are compared if it is among them."""
+"""Reference variant, with which the others are compared; without it the first one by name."""
 
 
 def _column(name: str, header: str, *, digits: int = 1, scale: float = 1.0) -> Column:
@@ -54,10 +54,17 @@ class MapTable(NamedTuple):
 def map_tables(results: Sequence[Row]) -> list[MapTable]:
     """Make a table for each map with a successful run, from rows with the columns `NEEDED`."""
     runs = [row for row in results if row["error"] is None]
+    reference = find_reference(results)
     return [
-        MapTable(name, _rows([row for row in runs if row["map"] == name]))
+        MapTable(name, _rows([row for row in runs if row["map"] == name], reference))
         for name in _in_order(row["map"] for row in runs)
     ]
+
+
+def find_reference(results: Sequence[Row]) -> str:
+    """Return the variant with which the others are compared."""
+    names = {row["explorer"] for row in results}
+    return REFERENCE if REFERENCE in names else min(names, default=REFERENCE)
 
 
 def list_failures(results: Sequence[Row]) -> list[str]:
@@ -73,16 +80,16 @@ def list_failures(results: Sequence[Row]) -> list[str]:
     ]
 
 
-def _rows(runs: Sequence[Row]) -> list[tuple[str, ...]]:
+def _rows(runs: Sequence[Row], compared_with: str) -> list[tuple[str, ...]]:
     by_variant = {
         name: [row for row in runs if row["explorer"] == name]
         for name in _in_order(row["explorer"] for row in runs)
     }
-    reference = by_variant.get(REFERENCE)
+    reference = by_variant.get(compared_with)
     table = [("", "finished", *(column.header for column in COLUMNS))]
     for name, own in by_variant.items():
         finished = f"{sum(bool(row['is_finished']) for row in own)} of {len(own)}"
-        other = None if name == REFERENCE else reference
+        other = None if name == compared_with else reference
         table.append((name, finished, *(_cell(column, own, other) for column in COLUMNS)))
     return table
 

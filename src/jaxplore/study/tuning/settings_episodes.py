@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore.control.base import Controller
-from jaxplore.maps.files.packing import read_files
-from jaxplore.maps.files.path_file import read_path_file
 from jaxplore.parameters import get_parameters, nearest, set_parameters
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.readers import read_values
@@ -31,7 +29,14 @@ from jaxplore.study.tuning.episodes import (
 )
 from jaxplore.study.tuning.objective import list_metrics
 from jaxplore.study.tuning.space import Candidate, Space, Value
-from jaxplore.tasks.registry import build, find_kind, kind_of, make_settings, without_unread
+from jaxplore.tasks.registry import (
+    build,
+    files_of,
+    find_kind,
+    kind_of,
+    make_settings,
+    without_unread,
+)
 from jaxplore.tasks.user_code import hash_user_code, import_rule
 
 Entries = Mapping[str, Any]
@@ -300,15 +305,15 @@ def find_shared_entries(scenarios: Mapping[str, Entries]) -> dict[str, Any]:
 
 
 def _find_file(entries: Entries) -> InputFile | None:
-    """Return the map or path file that settings name; None without one."""
+    """Return the file of the map, path or volume that settings name; None without one."""
     setting = find_kind(entries).selector
     name = entries.get(setting)
     if not isinstance(name, str) or entries.get("world") is not None or not Path(name).is_file():
         return None
     path = str(Path(name).absolute())
     # The image belongs to the map: another image is another content.
-    data, image = read_files(path) if setting == "map" else (read_path_file(path), None)
-    return InputFile(setting, path, hashlib.sha256(data + (image or b"")).hexdigest()[:16])
+    content = b"".join(part or b"" for part in files_of(setting).read(path))
+    return InputFile(setting, path, hashlib.sha256(content).hexdigest()[:16])
 
 
 def _searchable_settings(settings: RunSettings) -> dict[str, Value]:

@@ -12,6 +12,7 @@ from jaxplore.settings.sections import read_settings
 from jaxplore.tasks.exploration.build import build_exploration, choose_architectures, with_start
 from jaxplore.tasks.exploration.fleet_topics import FleetContent
 from jaxplore.tasks.exploration.memory import estimate_exploration
+from jaxplore.tasks.exploration.on_maps import ON_ROS_MAPS
 from jaxplore.tasks.exploration.scene import ExplorationScene, FleetScene
 from jaxplore.tasks.exploration.settings import (
     OFFICE,
@@ -52,6 +53,7 @@ EXPLORATION = Kind(
     read=read_map_entries,
     architectures=choose_architectures,
     with_start=with_start,
+    on_maps=ON_ROS_MAPS,
     shown=(
         Shown(ExplorationData, ExplorationScene, ExplorationContent, is_relative=True),
         Shown(FleetData, FleetScene, FleetContent, is_relative=True),

@@ -30,7 +30,7 @@ from jaxplore.tasks.robot import (
 def build_path_following(settings: PathSettings) -> Experiment:
     """Build the experiment that settings describe."""
     datum = ORIGIN if settings.path == TRACK else path_datum(settings.path)
-    path = _path(settings, datum)
+    path = build_path(settings, datum)
     traffic, standing = _traffic(settings, path), _build_standing(settings, datum)
     has_obstacles = traffic is not None or standing is not None
     following = _build_following(settings, path, has_obstacles=has_obstacles)
@@ -79,7 +79,8 @@ def _build_following(settings: PathSettings, path: Path, *, has_obstacles: bool)
     )
 
 
-def _path(settings: PathSettings, datum: Datum) -> Path:
+def build_path(settings: PathSettings, datum: Datum) -> Path:
+    """Build the path of a run, relative to a datum."""
     if settings.path == TRACK:
         return race_track(**arguments(settings.track, race_track))
     path = read_path(settings.path, datum=datum, **arguments(settings, read_path))

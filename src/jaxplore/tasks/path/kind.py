@@ -4,6 +4,7 @@ from jaxplore.report.following.data import PathData
 from jaxplore.tasks.kind import Kind, Shown
 from jaxplore.tasks.path.build import build_path_following
 from jaxplore.tasks.path.memory import estimate_path_following
+from jaxplore.tasks.path.on_maps import ALONG_PATHS
 from jaxplore.tasks.path.scene import PathScene
 from jaxplore.tasks.path.settings import PATH, TRACK, PathSettings, make_path_settings
 from jaxplore.tasks.path.topics import PathContent
@@ -20,5 +21,6 @@ PATH_FOLLOWING = Kind(
     needs=estimate_path_following,
     places={PATH: {PATH: TRACK}},
     words={PATH: {PATH: TRACK}},
+    on_maps=ALONG_PATHS,
     shown=(Shown(PathData, PathScene, PathContent, is_relative=True),),
 )

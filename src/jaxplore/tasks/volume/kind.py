@@ -5,6 +5,7 @@ from jaxplore.report.volume.data import VolumeData
 from jaxplore.tasks.kind import Kind, Shown
 from jaxplore.tasks.volume.build import build_volume, with_start
 from jaxplore.tasks.volume.memory import estimate_volume
+from jaxplore.tasks.volume.on_maps import ARCHITECTURES, IN_VOLUMES
 from jaxplore.tasks.volume.scene import VolumeScene
 from jaxplore.tasks.volume.settings import (
     GENERATED,
@@ -13,9 +14,6 @@ from jaxplore.tasks.volume.settings import (
     make_volume_settings,
 )
 from jaxplore.tasks.volume.topics import VolumeContent
-
-COMPARED = ("explorer", "nearest-cluster", "next-best-view", "gain-per-cost")
-"""Architectures that are compared by default."""
 
 EXPLORATION_OF_VOLUME = Kind(
     name="volume",
@@ -30,7 +28,8 @@ EXPLORATION_OF_VOLUME = Kind(
     words={VOLUME: {VOLUME: VOLUME}},
     suffixes=SUFFIXES,
     files="a mesh or another file of a volume",
-    architectures=lambda _: COMPARED,
+    architectures=lambda _: ARCHITECTURES,
     with_start=with_start,
+    on_maps=IN_VOLUMES,
     shown=(Shown(VolumeData, VolumeScene, VolumeContent),),
 )
