@@ -85,6 +85,7 @@ from jaxplore.simulation.exploration.recording import make_recording, part_repor
 from jaxplore.simulation.exploration.state import ExplorationState, Sensed, initial_state
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.robot_fields import robot_fields
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
 
@@ -702,8 +703,11 @@ class ExplorationScenario(Scenario):
 
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
-        stride = self.perception.field_sensor.stride
-        return super().make_frame(step, crop_frame(arrays, self.map_arrays.world, stride))
+        return super().make_frame(step, self.crop_frame(arrays))
+
+    def crop_frame(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the arrays of a frame with the cells that are on the map."""
+        return crop_frame(arrays, self.map_arrays.world, self.perception.field_sensor.stride)
 
     def agent_view(self, view_cells: int | None) -> ExplorationView:
         """Return exploration as an agent sees it."""
@@ -726,19 +730,19 @@ class ExplorationScenario(Scenario):
         run: ChunkedRun[Any, ExplorationRecord, ExplorationFrame],
     ) -> ExplorationRecording:
         """Make the recording of a run."""
-        names = () if controller is None else controller.member_names
-        parts = (self.map_arrays.crop(), self.robot, self.start, self.period)
-        end = (self.goal, self.target, self.target_coverage, self.targets)
         after: ExplorationState = run.state.task
-        reports = part_reports(
-            self.truths, self.perception, after.belief.parts, after.truths, after.belief.grid
-        )
-        is_given_up, place = bool(self.is_given_up(after)), None
-        if after.own.place is not None and after.judged.track is not None:
-            place = after.judged.track.data(after.own.place, after.belief.grid)
+        grid = after.belief.grid
         local = make_recording(
-            *(before, run, *parts, *end, names, reports, place),
-            is_given_up=is_given_up,
+            *(self, run, before.progress, after),
+            belief=grid.crop(grid.probability),
+            robots=robot_fields(self.robot, self.start),
+            parts=part_reports(
+                self.truths, self.perception, after.belief.parts, after.truths, grid
+            ),
+            finished=int(after.finished),
+            is_given_up=bool(self.is_given_up(after)),
+            localisation=after.localisation,
+            member_names=() if controller is None else controller.member_names,
         )
         return local.move(self.datum.offset)
 

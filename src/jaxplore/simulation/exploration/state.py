@@ -14,7 +14,7 @@ from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.goal_check import Motion
-from jaxplore.report.exploration.data import MapProgress
+from jaxplore.report.exploration.data import LocalisationData, MapProgress
 from jaxplore.robot.knowledge import Knowledge
 from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import FITTING, Measurement, RobotState, Sight
@@ -74,6 +74,12 @@ class ExplorationState(NamedTuple):
     def is_seen(self) -> Bool[Array, " M"]:
         """Whether each of the M targets has been found."""
         return self.judged.is_seen
+
+    @property
+    def localisation(self) -> LocalisationData | None:
+        """Where the robot was and took itself to be, on the host; None if it knows its pose."""
+        place, track = self.own.place, self.judged.track
+        return None if place is None or track is None else track.data(place, self.belief.grid)
 
     def with_belief(self, belief: Belief) -> "ExplorationState":
         """Return the state with another belief."""

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxplore._trees import stack_trees
@@ -59,22 +58,25 @@ def moves(
     return records
 
 
-def stack_parts(
+def stack_records(
     records: Sequence[ExplorationRecord], together: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the records of parts of a `FleetRecord`, by name.
+) -> ExplorationRecord:
+    """Return the record of all robots, in which fields have an axis of robots (N,).
 
-    `together` are those of what all robots know together. The others are those of each robot (N,).
+    `together` are the records of parts, by name, that judge what all robots know together. The
+    states, the controls and what is counted on one map are left out.
     """
-    apart = [
-        {name: each for name, each in one.parts.items() if name not in together} for one in records
+    alone = [
+        each._replace(
+            state=None,
+            control=None,
+            entropy=None,
+            unknown=None,
+            unknown_map=None,
+            members=None,
+            parts={name: own for name, own in each.parts.items() if name not in together},
+        )
+        for each in records
     ]
-    return {**stack_trees(apart), **together}
-
-
-def stack_errors(records: Sequence[ExplorationRecord]) -> dict[str, Array]:
-    """Return the fields (N,) of a `FleetRecord` of robots that find their pose."""
-    rows = {
-        name: [getattr(each, name) for each in records] for name in ("pose_error", "uncertainty")
-    }
-    return {name: jnp.stack(each) for name, each in rows.items() if each[0] is not None}
+    every: ExplorationRecord = stack_trees(alone)
+    return every._replace(parts={**every.parts, **together})

@@ -22,9 +22,11 @@ from jaxplore.control.fleet_share import Share, check_share
 from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.dynamics.formation import Formation, extent
 from jaxplore.dynamics.goal_check import Motion
-from jaxplore.report.fleet.data import FleetFrame, FleetRecord, move_records
-from jaxplore.report.fleet.metrics import FleetMetrics
-from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.report.exploration.data import TEAM, ExplorationFrame, ExplorationRecord
+from jaxplore.report.exploration.metrics import ExplorationMetrics
+from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.report.exploration.team import TeamRecord
+from jaxplore.report.recording import Frame
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.disturbances import Disturbances
@@ -40,9 +42,9 @@ from jaxplore.simulation.fleet.communication import Talk, known_states
 from jaxplore.simulation.fleet.contact import stop_touching
 from jaxplore.simulation.fleet.disturbances import FleetDisturbances
 from jaxplore.simulation.fleet.driver import FleetDriver
-from jaxplore.simulation.fleet.motion import moves, stack_errors, stack_parts
+from jaxplore.simulation.fleet.motion import moves, stack_records
 from jaxplore.simulation.fleet.radio import Radio
-from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
+from jaxplore.simulation.fleet.recording import fleet_frame, make_fleet_recording
 from jaxplore.simulation.fleet.senses import TeamSenses
 from jaxplore.simulation.fleet.starts import check_starts
 from jaxplore.simulation.fleet.state import FleetState
@@ -102,8 +104,8 @@ class Fleet(Scenario):
             close that robots touch; an exchange rate that is no whole fraction.
     """
 
-    frame_type = FleetFrame
-    metrics_type = FleetMetrics
+    frame_type = ExplorationFrame
+    metrics_type = ExplorationMetrics
 
     explorations: Alike[ExplorationScenario]
     robot: Formation
@@ -198,8 +200,8 @@ class Fleet(Scenario):
 
     @property
     def metric_groups(self) -> tuple[str, ...]:
-        """Names of the truths of parts, whose metrics are groups of their own."""
-        return self.members[0].metric_groups
+        """Names of the truths of parts, and of what the robots share: groups of metrics."""
+        return (*self.members[0].metric_groups, TEAM)
 
     @property
     def _judging(self) -> tuple[PartTruth, ...]:
@@ -219,7 +221,7 @@ class Fleet(Scenario):
     @property
     def objective(self) -> str:
         """Default objective: that of one robot, plus contacts."""
-        return f"{self.members[0].objective} + 100*contacts"
+        return f"{self.members[0].objective} + 100*{TEAM}.contacts"
 
     @property
     def steps_per_revision(self) -> int | None:
@@ -359,7 +361,7 @@ class Fleet(Scenario):
 
     def advance(
         self, state: FleetState, control: ControlVector, moment: Moment, info: Info
-    ) -> tuple[FleetState, FleetRecord]:
+    ) -> tuple[FleetState, ExplorationRecord]:
         """Move the robots and record the step.
 
         A robot that would touch something solid or another robot stops instead, and the step counts
@@ -400,26 +402,18 @@ class Fleet(Scenario):
             team = self._talk.update_plans(team, here, joint, known, moment.step, info)
             state = state._replace(team=team)
         is_over = self.is_finished(state) | (state.finished > 0)
-        record = FleetRecord(
+        together = {each.name: each.record(state.judged[each.name]) for each in self._judging}
+        together[TEAM] = TeamRecord(coverages, contact, sent, links)
+        record = stack_records(records, together)._replace(
             state=joint,
             control=control,
             coverage=state.coverage,
-            coverages=coverages,
             clearance=clearance,
-            is_collision=jnp.stack([each.is_collision for each in records]),
-            is_untraversable=jnp.stack([each.is_untraversable for each in records]),
-            is_contact=contact,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
-            sent=sent,
-            links=links,
-            targets_seen=self._count_seen(state),
-            parts=stack_parts(
-                records,
-                {each.name: each.record(state.judged[each.name]) for each in self._judging},
-            ),
+            is_faulty=moment.is_faulty,
+            targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
             stop=moment.stop,
-            **stack_errors(records),
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -460,10 +454,6 @@ class Fleet(Scenario):
         is_judged = (state.finished == 0) & (first.ends_by != TARGETS.index(NEVER))
         return is_judged & (state.gain.since >= first.give_up_after)
 
-    def _count_seen(self, state: FleetState) -> Count | None:
-        """Return the number of targets that some robot has seen; None without targets."""
-        return jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None
-
     def progress(self, state: FleetState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
         return 0.0, f"coverage {float(state.coverage):6.1%}"
@@ -501,39 +491,24 @@ class Fleet(Scenario):
         """Return what the robots know together, their poses, plans and links."""
         plan = None if inspect is None else inspect(moment.observed, self._belief(state))
         links = None if state.team is None else self._talk.links(state, moment)
-        return fleet_frame(self.robot, state, self.share, plan, links, self.members[0])
+        return fleet_frame(self.members[0], self.robot, state, moment, self.share, plan, links)
 
-    def make_frame(self, step: int, arrays: Any) -> FleetFrame:
+    def make_frame(self, step: int, arrays: Any) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
-        rows, columns = self.members[0].world.shape
-        cropped = {**arrays, "probability": arrays["probability"][:rows, :columns]}
-        made = super().make_frame(step, cropped)
-        assert isinstance(made, FleetFrame)
-        return made
+        return super().make_frame(step, self.members[0].crop_frame(arrays))
 
     def recording(
         self,
         controller: Controller | None,
         before: FleetState,
-        run: ChunkedRun[Any, FleetRecord, FleetFrame],
-    ) -> FleetRecording:
+        run: ChunkedRun[Any, ExplorationRecord, ExplorationFrame],
+    ) -> ExplorationRecording:
         """Make the recording of a run."""
-        local = make_recording(
-            self.members,
-            self.share,
-            self.robot,
-            np.asarray(self.start),
-            before,
-            run,
-            self.period,
-            self.coordination,
+        local = make_fleet_recording(
+            *(self.members[0], self.share, self.robot, self.start, before, run, self.coordination),
             is_given_up=bool(self.is_given_up(run.state.task)),
         )
         return local.move(self.datum.offset)
-
-    def records_on_map(self, records: Any) -> Any:
-        """Return records in NumPy, with the states of all robots in the map's coordinates."""
-        return move_records(records, self.datum.offset, self.robot.state_names)
 
     @property
     def _varies(self) -> bool:
