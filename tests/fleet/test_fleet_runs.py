@@ -46,7 +46,8 @@ TARGETS = ((2.8, 2.8), (5.5, 2.6))
 
 
 def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) -> None:
-    """It finds its pose, has other motors, and a guard stops it while its odometry is lost."""
+    """It finds its pose, has other motors, a guard stops it while its odometry is lost, and it is
+    carried away."""
     alone = ExplorationScenario(
         alone.world,
         alone.robot,
@@ -59,7 +60,7 @@ def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) ->
         field_rate=4.0,
         localisation=LOCALISATION,
         target_coverage=0.99,
-        faults=Faults(lost_odometry=(2.0, 2.3)),
+        faults=Faults(lost_odometry=(2.0, 2.3), carried_at=3.0),
     ).with_guard(MotionGuard())
     alone = alone.with_variation(VARIATION)
     _, single = run(drive(has_others=False), alone, 70)
@@ -71,6 +72,13 @@ def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) ->
     np.testing.assert_array_equal(single.stop, together.stop[:, 0])
     np.testing.assert_array_equal(single.pose_error, together.pose_error[:, 0])
     assert single.pose_error.max() > 1e-3
+    np.testing.assert_array_equal(single.is_carried, together.is_carried[:, 0])
+    (step,) = np.flatnonzero(single.is_carried)
+    assert step == 60
+    # Its odometry does not notice where it was put down.
+    away = np.hypot(*(single.state[60, :2] - single.state[59, :2]))
+    assert away > 0.3
+    assert single.pose_error[61] == pytest.approx(away, abs=0.1)
     assert (single.stop == LOST).sum() >= 6
     assert guard_metrics(together.stop) == guard_metrics(single.stop)
     assert not together.parts["team"].is_contact.any()

@@ -142,15 +142,15 @@ def _draw_robot(
         for piece in each.ways(frame.step):
             line(piece, colour, 1.5)
     draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
-    for each in recording.parts.values():
-        each.draw(canvas, draw, recording, frame)
+    for part in recording.parts.values():
+        part.draw(canvas, draw, recording, frame)
     _draw_moving_obstacles(canvas, recording.mover_radii, frame, draw)
     _draw_tracks(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
         _draw_dashes(canvas, draw, frame.reference)
     for plan, (_, colour, _) in zip(frame.plans, colours, strict=True):
-        line(plan, colour, 2.0)
+        line(plan, colour, 2.0 if colour == PLAN else 3.0)  # in the colour of the trail: wider
     if recording.goal is not None:
         draw_goal(canvas, draw, recording.goal)
     headings = frame.headings.tolist()
@@ -208,9 +208,12 @@ def compute_palette(recording: ExplorationData, pictures: Sequence[Image.Image])
     are fixed, pure and blended with the background. The others are computed from the pictures. What
     the recording does not have gets no colour.
     """
-    lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
+    lines: tuple[Colour, ...] = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, *lines]
-    lines += tuple(recording.parts[TEAM].colours()) if TEAM in recording.parts else ()
+    if TEAM in recording.parts:
+        lines += tuple(recording.parts[TEAM].colours())
+        # Of the many colours of robots one would be the nearest to a wall that is hardly known.
+        given += [tuple(colour) for colour in belief_colours()[176:255:16].tolist()]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
     given += [blend(HEAT, FREE, k / HEAT_LEVELS * MAX_HEAT) for k in range(1, HEAT_LEVELS + 1)]
     if recording.traversable is not None:

@@ -92,8 +92,8 @@ def map_figure(recording: ExplorationData) -> "Figure":
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
     add_moving_obstacles(axes, recording, window)
-    for each in recording.parts.values():
-        each.add_to_map(axes, recording, window)
+    for part in recording.parts.values():
+        part.add_to_map(axes, recording, window)
     for each in recording.robots:
         add_footprint(axes, each, window)
         add_estimate(axes, each, window)

@@ -590,10 +590,25 @@ class ExplorationScenario(Scenario):
         If the move would touch something solid, the robot stops instead, and the step counts as a
         collision.
         """
+        record, truths = self.move(self.robot, state, control, moment, info)
+        state, record = self.follow(state, record, truths, control, moment)
+        is_over = self.is_finished(state) | (state.finished > 0)
+        return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+
+    def move(
+        self,
+        robot: Dynamics,
+        state: ExplorationState,
+        control: ControlVector,
+        moment: Moment,
+        info: Info,
+    ) -> tuple[ExplorationRecord, dict[str, Any]]:
+        """Return the record of a step of a robot by its true model, and the states of the truths of
+        its parts; see `motion.move`."""
         # Moving obstacles move during the step as well, so contact is with those at its end.
         truth = self.true_world(state, moment._replace(time=moment.time + self.control_period))
-        record, truths = move(
-            self.robot,
+        return move(
+            robot,
             state,
             control,
             truth,
@@ -604,15 +619,30 @@ class ExplorationScenario(Scenario):
             stop=moment.stop,
             truths=self.truths,
         )
+
+    def follow(
+        self,
+        state: ExplorationState,
+        record: ExplorationRecord,
+        truths: dict[str, Any],
+        control: ControlVector,
+        moment: Moment,
+        has_room: Flag | None = None,
+    ) -> tuple[ExplorationState, ExplorationRecord]:
+        """Return the state after a step to the state of its record, and the record: the odometry
+        measures the step, and a fault may carry the robot away at its end.
+
+        `has_room` says whether it can be put down where the fault carries it; None if it can.
+        """
         state = self.follow_odometry(state, record.state, moment.step)
         if self.faults is not None and state.landing is not None:
             # After the odometry has measured the step: it does not notice.
             is_carried = self.faults.is_carried(moment.time, self.control_period)
+            is_carried = is_carried if has_room is None else is_carried & has_room
             record = carry(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
         state = state.after_step(record.state, control)._replace(motion=motion, truths=truths)
-        is_over = self.is_finished(state) | (state.finished > 0)
-        return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+        return state, record
 
     def follow_odometry(
         self, state: ExplorationState, after: StateVector, step: Count
@@ -664,11 +694,11 @@ class ExplorationScenario(Scenario):
         is_reached: Flag = check.is_reached(pose, state.motion)
         return is_reached
 
-    def is_given_up(self, state: ExplorationState) -> Flag:
+    def is_given_up(self, state: Any) -> Flag:
         """Check whether the exploration is given up, as the class says.
 
         Args:
-            state: the task's state.
+            state: the task's state, of one robot or of a fleet that it is one of.
         """
         if self.goal is not None or self.num_targets > 0:
             return jnp.array(False)
@@ -677,11 +707,12 @@ class ExplorationScenario(Scenario):
         if self.counts_walls:
             # Walls that are seen from far away through gaps grow for ever, a cell at a time.
             since = jnp.maximum(since, state.own.knowledge.idle)
-        return is_judged & (since >= self.give_up_after)
+        is_over: Flag = is_judged & (since >= self.give_up_after)
+        return is_over
 
-    def progress(self, state: ExplorationState) -> tuple[float, str]:
+    def progress(self, state: Any) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
-        return 0.0, f"coverage {float(state.progress.coverage):6.1%}"
+        return 0.0, f"coverage {float(state.coverage):6.1%}"
 
     def for_batches(self) -> "ExplorationScenario":
         """Return the scenario with a perception that is efficient under `jax.vmap`."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import ControlVector, Count, GridMask, Pose, StateVector
+from jaxplore._types import ControlVector, Count, GridMask, Pose, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
@@ -69,6 +69,11 @@ class ExplorationState(NamedTuple):
     def progress(self) -> MapProgress:
         """Statistics of the known map, as of the last map update."""
         return self.judged.progress
+
+    @property
+    def coverage(self) -> Scalar:
+        """Share of the reachable cells that are known to be free."""
+        return self.judged.progress.coverage
 
     @property
     def is_seen(self) -> Bool[Array, " M"]:

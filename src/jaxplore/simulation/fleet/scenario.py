@@ -21,7 +21,6 @@ from jaxplore.control.fleet_controller import FleetBelief, robot_keys
 from jaxplore.control.fleet_share import Share, check_share
 from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.dynamics.formation import Formation, extent
-from jaxplore.dynamics.goal_check import Motion
 from jaxplore.report.exploration.data import TEAM, ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -30,7 +29,6 @@ from jaxplore.report.recording import Frame
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.disturbances import Disturbances
-from jaxplore.simulation.exploration.finish import NEVER, TARGETS
 from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -39,12 +37,12 @@ from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
 from jaxplore.simulation.fleet.closing import close_loops
 from jaxplore.simulation.fleet.communication import Talk, known_states
-from jaxplore.simulation.fleet.contact import stop_touching
+from jaxplore.simulation.fleet.contact import find_room, stop_touching
 from jaxplore.simulation.fleet.disturbances import FleetDisturbances
 from jaxplore.simulation.fleet.driver import FleetDriver
-from jaxplore.simulation.fleet.motion import moves, stack_records
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_fleet_recording
+from jaxplore.simulation.fleet.records import stack_records
 from jaxplore.simulation.fleet.senses import TeamSenses
 from jaxplore.simulation.fleet.starts import check_starts
 from jaxplore.simulation.fleet.state import FleetState
@@ -189,7 +187,12 @@ class Fleet(Scenario):
         """
         check_share(share, self.explorations.kinds, "robots")
         first = self.members[0]
-        given: dict[str, Any] = {"localisation": first.localisation, "goal": first.goal}
+        carried = None if first.faults is None else first.faults.carried_at
+        given: dict[str, Any] = {
+            "localisation": first.localisation,
+            "goal": first.goal,
+            "faults.carried_at": carried,
+        }
         given |= {each.name: each for each in first.truths if each.is_moving}
         for name, one in given.items():
             if one is not None:
@@ -369,9 +372,7 @@ class Fleet(Scenario):
         """
         before = self.robot.split_state(state.robot)
         controls = self.robot.split_control(control)
-        pairs = tuple(zip(self.members, self.robot.robots, strict=True))
-        found = moves(pairs, self.share, state.members, before, controls, moment, info)
-        records, truths = zip(*found, strict=True)
+        records, truths = self._move(state, before, controls, moment, info)
         moved = [each.state for each in records]
         clearance = jnp.stack([each.clearance for each in records])
         contact, team = jnp.zeros(self.num_robots, bool), state.team
@@ -382,24 +383,17 @@ class Fleet(Scenario):
             moved, contact = list(apart.states), apart.is_contact
             clearance = jnp.minimum(clearance, apart.gap)
             sent, links, coverages = team.sent, team.links, team.coverages
-        own = map(self.share.select, (self.members, moved, controls, truths))
-        members = tuple(
-            one.follow_odometry(each, robot, moment.step)
-            .after_step(robot, given)
-            ._replace(
-                truths=after,
-                motion=Motion.between(one.robot, each.robot, robot, self.control_period),
-            )
-            for each, one, robot, given, after in zip(state.members, *own, strict=True)
-        )
-        joint, here = jnp.concatenate(moved), state.robot
-        state = state._replace(robot=joint, members=members)
+        records = [each._replace(state=robot) for each, robot in zip(records, moved, strict=True)]
+        here, driven = state.robot, jnp.concatenate(moved)
+        state, records = self._follow(state, records, truths, controls, moment)
+        joint = jnp.concatenate([each.state for each in records])
+        state = state._replace(robot=joint)
         if team is not None:
             known = self.measure_state(state)
             if self._varies:
                 # Robots that measure with noise know no more of the step than their models do.
                 known = self._model.step(known_states(moment), control, self.control_period)
-            team = self._talk.update_plans(team, here, joint, known, moment.step, info)
+            team = self._talk.update_plans(team, here, driven, known, moment.step, info)
             state = state._replace(team=team)
         is_over = self.is_finished(state) | (state.finished > 0)
         together = {each.name: each.record(state.judged[each.name]) for each in self._judging}
@@ -416,6 +410,59 @@ class Fleet(Scenario):
             stop=moment.stop,
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+
+    def _move(
+        self,
+        state: FleetState,
+        before: Sequence[Array],
+        controls: Sequence[Array],
+        moment: Moment,
+        info: Info,
+    ) -> tuple[list[ExplorationRecord], list[dict[str, Any]]]:
+        """Return the record of each robot among what is solid, and the states of its truths.
+
+        Every process moves all robots. Of one that another process computes, nothing but the
+        record's state, clearance and collision is meant.
+        """
+        here = dict(zip(self.share.mine, state.members, strict=True))
+        given = zip(self.members, self.robot.robots, before, controls, strict=True)
+        found = [
+            # What is read of another state than the robot's is the same for equal robots.
+            one.move(
+                true_robot,
+                here.get(index, state.members[0])._replace(robot=robot),
+                control,
+                moment._replace(guard=None),
+                info,
+            )
+            for index, (one, true_robot, robot, control) in enumerate(given)
+        ]
+        return [record for record, _ in found], [truths for _, truths in found]
+
+    def _follow(
+        self,
+        state: FleetState,
+        records: Sequence[ExplorationRecord],
+        truths: Sequence[dict[str, Any]],
+        controls: Sequence[Array],
+        moment: Moment,
+    ) -> tuple[FleetState, list[ExplorationRecord]]:
+        """Return the state with what the robots of this process know after the step of their
+        records, and the records of all."""
+        rooms: list[Flag | None] = [None] * self.num_robots
+        landings = [each.landing for each in state.members]
+        if self.num_robots > 1 and any(each is not None for each in landings):
+            places = self._model.positions(jnp.concatenate([each.state for each in records]))
+            rooms = list(find_room(landings, places, self.radii))
+        members, followed = [], list(records)
+        own = self.share.select(list(zip(self.members, truths, controls, rooms, strict=True)))
+        for index, each, (one, after, control, room) in zip(
+            self.share.mine, state.members, own, strict=True
+        ):
+            given = records[index], after, control, moment, room
+            member, followed[index] = one.follow(each, *given)
+            members.append(member)
+        return state._replace(members=tuple(members)), followed
 
     def is_unfinished(self, state: FleetState) -> Flag:
         """Check whether the exploration is neither finished nor given up."""
@@ -448,15 +495,11 @@ class Fleet(Scenario):
 
     def is_given_up(self, state: FleetState) -> Flag:
         """Check whether the coverage has not risen for long, see `ExplorationScenario`."""
-        if state.is_seen.size or self.members[0].goal is not None:
-            return jnp.array(False)
-        first = self.members[0]
-        is_judged = (state.finished == 0) & (first.ends_by != TARGETS.index(NEVER))
-        return is_judged & (state.gain.since >= first.give_up_after)
+        return self.members[0].is_given_up(state)
 
     def progress(self, state: FleetState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
-        return 0.0, f"coverage {float(state.coverage):6.1%}"
+        return self.members[0].progress(state)
 
     def for_batches(self) -> "Fleet":
         """Return the scenario with perceptions that are efficient under `jax.vmap`."""

@@ -30,7 +30,7 @@ class ExplorationScene(Scene):
     nothing of the true world, which a robot does not know.
     """
 
-    layers = (
+    layers: tuple[str, ...] = (
         "belief",
         "information",
         "scan",

@@ -87,7 +87,7 @@ class ExplorationContent(Content):
         else:
             columns, here = self._columns[0], places[0]
             z = float(frame.state[columns["z"]]) if "z" in columns else 0.0
-            self.log_pose(time, here, frame.heading, z)
+            self.log_pose(time, here, float(frame.headings[0]), z)
             self._log_scan(frame, here)
             self.log_plan(frame, reference=(frame.reference, REFERENCE))
             robots = {"robot": self.body()}
