@@ -78,6 +78,7 @@ def _row(
 ) -> dict[str, Any]:
     controller, scenario, num_steps, key = fleet(path, robots, kind, seed, **changes)
     metrics: Any = simulate(controller, scenario, num_steps, key=key, num_trajectories=0).metrics
+    team = metrics.parts["team"]
     return {
         "map": name,
         "robots": robots,
@@ -85,12 +86,12 @@ def _row(
         "seed": seed,
         **{f"time_to_{level}": metrics.time_to[str(level)] for level in (50, 90, 95, 99)},
         "coverage": metrics.coverage,
-        "contacts": metrics.contacts,
+        "contacts": team.contacts,
         "collisions": metrics.collisions,
         "minimum_clearance": metrics.minimum_clearance,
         "path_m": metrics.path_length,
-        "exchanged_mb": 1e-6 * metrics.exchanged,
-        "linked": metrics.linked,
+        "exchanged_mb": 1e-6 * team.exchanged,
+        "linked": team.linked,
         "loop_ms": metrics.compute.loop_step_ms,
     }
 

@@ -64,7 +64,7 @@ def test_two_robots_explore_two_rooms(tmp_path: Path) -> None:
     check_folder(run, tmp_path / "run")
     records = run.recording.records
     assert records.coverage[-1] > records.coverage[0] + 0.05
-    assert (records.coverage[:, None] >= records.coverages - 1e-6)[10:].all()
+    assert (records.coverage[:, None] >= records.parts["team"].coverages - 1e-6)[10:].all()
     states = np.asarray(records.state).reshape(len(records.state), 2, -1)
     solid = np.asarray(kinds.two_rooms().probability) > 0.5
     for robot in range(2):
@@ -74,7 +74,7 @@ def test_two_robots_explore_two_rooms(tmp_path: Path) -> None:
         assert distance_to(solid, 0.1, points).min() > 0.15
     apart = np.linalg.norm(states[:, 0, :2] - states[:, 1, :2], axis=1)
     assert apart.min() > 0.3
-    assert not np.asarray(records.is_contact).any()
+    assert not np.asarray(records.parts["team"].is_contact).any()
 
 
 def test_a_car_follows_a_path_past_others(tmp_path: Path) -> None:

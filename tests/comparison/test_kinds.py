@@ -9,7 +9,7 @@ import pytest
 
 from jaxplore.cli import main
 from jaxplore.report.coverage_levels import LEVELS
-from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.following.recording import PathRecording
 from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.simulation.run import record_run
@@ -69,7 +69,7 @@ def test_fleets_are_compared(maps: tuple[MapFile, ...], capsys: pytest.CaptureFi
     assert len(rows) == 8
     row = rows[1]
     recording = recorded(row)
-    assert isinstance(recording, FleetRecording)
+    assert isinstance(recording, ExplorationRecording)
     metrics = recording.metrics()
     robots = np.stack([np.asarray(recording.start), *np.asarray(recording.records.state)])
     names = recording.state_names

@@ -146,6 +146,6 @@ if __name__ == "__main__":
     gaps["frames"] = float(
         np.abs(one.frames[-1].probability.astype(int) - parts.frames[-1].probability).max()
     )
-    sent = float(parts.records.sent.sum())
+    sent = float(parts.records.parts["team"].sent.sum())
     moved = float(np.ptp(parts.records.state, axis=0).max())
     print(json.dumps({"gaps": gaps, "sent": sent, "moved": moved, "steps": parts.num_steps}))

@@ -22,7 +22,7 @@ from jaxplore.parts.watch.report import WatchRecord, WatchReport
 from jaxplore.parts.wheels.report import WheelRecord, WheelReport
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.guard import guard_metrics
-from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.robot.localisation import Localisation
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -46,7 +46,8 @@ TARGETS = ((2.8, 2.8), (5.5, 2.6))
 
 
 def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) -> None:
-    """It finds its pose, has other motors, and a guard stops it while its odometry is lost."""
+    """It finds its pose, has other motors, a guard stops it while its odometry is lost, and it is
+    carried away."""
     alone = ExplorationScenario(
         alone.world,
         alone.robot,
@@ -59,7 +60,7 @@ def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) ->
         field_rate=4.0,
         localisation=LOCALISATION,
         target_coverage=0.99,
-        faults=Faults(lost_odometry=(2.0, 2.3)),
+        faults=Faults(lost_odometry=(2.0, 2.3), carried_at=3.0),
     ).with_guard(MotionGuard())
     alone = alone.with_variation(VARIATION)
     _, single = run(drive(has_others=False), alone, 70)
@@ -71,10 +72,17 @@ def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) ->
     np.testing.assert_array_equal(single.stop, together.stop[:, 0])
     np.testing.assert_array_equal(single.pose_error, together.pose_error[:, 0])
     assert single.pose_error.max() > 1e-3
+    np.testing.assert_array_equal(single.is_carried, together.is_carried[:, 0])
+    (step,) = np.flatnonzero(single.is_carried)
+    assert step == 60
+    # Its odometry does not notice where it was put down.
+    away = np.hypot(*(single.state[60, :2] - single.state[59, :2]))
+    assert away > 0.3
+    assert single.pose_error[61] == pytest.approx(away, abs=0.1)
     assert (single.stop == LOST).sum() >= 6
     assert guard_metrics(together.stop) == guard_metrics(single.stop)
-    assert not together.is_contact.any()
-    assert not together.sent.any()
+    assert not together.parts["team"].is_contact.any()
+    assert not together.parts["team"].sent.any()
 
 
 @pytest.fixture(scope="module")
@@ -131,9 +139,10 @@ def test_the_order_of_the_robots_does_not_matter(mixed) -> None:
     """Keys, maps and paths move with the robots, through two exchanges of maps."""
     order = (2, 1, 0)
     (fleet, one, records), (swapped, other, moved) = mixed((0, 1, 2)), mixed(order)
-    assert (records.sent > 0.0).sum() >= 2
+    assert (records.parts["team"].sent > 0.0).sum() >= 2
     states, there = states_of(fleet, records), states_of(swapped, moved)
-    np.testing.assert_array_equal(records.coverages[:, order], moved.coverages)
+    coverages = [each.parts["team"].coverages for each in (records, moved)]
+    np.testing.assert_array_equal(coverages[0][:, order], coverages[1])
     for place, i in enumerate(order):
         np.testing.assert_array_equal(states[i], there[place])
         mine, theirs = one.task.members[i].belief, other.task.members[place].belief
@@ -170,7 +179,7 @@ def test_a_cell_that_one_robot_sees_is_seen_for_all(mixed) -> None:
 
 def test_an_area_stays_closed_for_all_when_maps_are_merged(mixed) -> None:
     fleet, state, records = mixed((0, 1, 2))
-    assert (records.sent > 0.0).sum() >= 2
+    assert (records.parts["team"].sent > 0.0).sum() >= 2
     for each in state.task.members:
         closed = np.asarray(each.belief.parts["keep_out"])
         assert closed.sum() >= 16
@@ -213,8 +222,8 @@ def test_robots_in_range_know_the_same_and_those_out_of_range_do_not(paired) -> 
     (heard, records), (deaf, apart) = paired(FAR), paired(NEAR)
     team = heard.task.team
     np.testing.assert_array_equal(team.heard.version >= 0, np.ones((2, 2), bool))
-    assert records.sent.sum() > 1000.0
-    assert (records.links[5:] == 1).all()
+    assert records.parts["team"].sent.sum() > 1000.0
+    assert (records.parts["team"].links[5:] == 1).all()
     maps = [each.belief.grid.probability for each in heard.task.members]
     merged = [np.asarray(each) for each in team.merged]
     np.testing.assert_allclose(merged[0], merged[1], atol=1e-5)
@@ -223,19 +232,19 @@ def test_robots_in_range_know_the_same_and_those_out_of_range_do_not(paired) -> 
     gap = apart.state[:, :2] - apart.state[:, 5:7]
     distance = np.hypot(*gap.T)
     scans = np.arange(2, len(distance), 2)
-    np.testing.assert_array_equal(apart.links[scans], distance[scans - 1] <= NEAR)
+    np.testing.assert_array_equal(apart.parts["team"].links[scans], distance[scans - 1] <= NEAR)
     is_out = distance[:-1] > NEAR
     assert is_out.mean() > 0.5
-    assert apart.sent[1:][is_out].sum() == 0.0
+    assert apart.parts["team"].sent[1:][is_out].sum() == 0.0
     # What was never in range has never been heard, and what was heard may be old.
     others = np.asarray(deaf.task.team.heard.version)[[0, 1], [1, 0]]
-    exchanged = np.flatnonzero(apart.sent)
+    exchanged = np.flatnonzero(apart.parts["team"].sent)
     assert (others == (exchanged[-1] if len(exchanged) else NEVER)).all()
 
 
 def test_together_they_know_more_than_each_and_everything_derived_fits_the_map(paired) -> None:
     state, records = paired(FAR)
-    assert (records.coverage[:, None] >= records.coverages - 1e-6)[10:].all()
+    assert (records.coverage[:, None] >= records.parts["team"].coverages - 1e-6)[10:].all()
     for each in state.task.members:
         belief = each.belief
         exact = clearance_field(~belief.grid.is_free, belief.grid.frame, 1.0)
@@ -260,7 +269,7 @@ def test_numbers_of_the_radio_do_not_recompile(paired) -> None:
 
 
 @pytest.fixture(scope="module")
-def recording(fleet, paired) -> FleetRecording:
+def recording(fleet, paired) -> ExplorationRecording:
     """Return the recording of two robots, made of the run of another test."""
     controller, scenario = fleet(STARTS[:2], Radio(FAR, uses_sight=False))
     state, records = paired(FAR)
@@ -277,18 +286,25 @@ def recording(fleet, paired) -> FleetRecording:
     return scenario.recording(controller, begin.task, done)
 
 
+def with_parts(recording, **parts):
+    """Return the records with others of some parts."""
+    return recording.records._replace(parts={**recording.records.parts, **parts})
+
+
 def test_metrics_are_those_of_all_robots(recording) -> None:
     metrics = recording.metrics()
-    assert metrics.num_robots == 2
+    team = metrics.parts["team"]
+    assert team.num_robots == 2
     assert metrics.coverage == pytest.approx(recording.records.coverage[-1])
     trails = recording.trails
     assert trails.shape == (2, 101, 2)
     np.testing.assert_allclose(trails[:, 0], [each[:2] for each in STARTS[:2]], atol=1e-6)
     paths = [np.hypot(*np.diff(trail, axis=0).T).sum() for trail in trails]
-    np.testing.assert_allclose(metrics.path_lengths, paths, rtol=1e-5)
+    np.testing.assert_allclose(team.path_lengths, paths, rtol=1e-5)
     assert metrics.path_length == pytest.approx(sum(paths), rel=1e-5)
-    assert metrics.exchanged == pytest.approx(recording.records.sent.sum(), rel=1e-6)
-    assert metrics.contacts == metrics.collisions == 0
+    sent = recording.records.parts["team"].sent
+    assert team.exchanged == pytest.approx(sent.sum(), rel=1e-6)
+    assert team.contacts == metrics.collisions == 0
     first = np.flatnonzero(recording.records.coverage >= 0.5)
     expected = None if not len(first) else first[0] * recording.control_period
     assert metrics.time_to["50"] == pytest.approx(expected)
@@ -302,8 +318,8 @@ def test_a_patrol_is_judged_by_its_idleness(recording, tmp_path) -> None:
     idle = np.where(recording.world > 0.5, np.inf, 2.0)
     patrol = dataclasses.replace(
         recording,
-        records=recording.records._replace(parts={"watch": WatchRecord(mean, 3.0 * mean)}),
-        parts={"watch": WatchReport(idle, is_patrol=True)},
+        records=with_parts(recording, watch=WatchRecord(mean, 3.0 * mean)),
+        parts={**recording.parts, "watch": WatchReport(idle, is_patrol=True)},
         initial_unknown=0.0,
         target_coverage=None,
     )
@@ -312,7 +328,7 @@ def test_a_patrol_is_judged_by_its_idleness(recording, tmp_path) -> None:
     assert watch.mean_idleness == pytest.approx(mean[steps // 2 :].mean())
     assert watch.worst_idleness == pytest.approx(12.0)
     rows = dict(metrics.rows())
-    assert rows["map"] == "known in advance"
+    assert rows["map"].endswith("m², known in advance")
     assert rows["idleness"] == "3.0 s, 12.0 s at worst, in the second half"
     assert rows["duration"] == "5.00 s, 100 steps"
     assert set(patrol.figures()) == {"map", "idleness"}
@@ -330,21 +346,23 @@ def test_vehicles_that_tip_over_are_counted(recording) -> None:
     load = np.where(tipped, 1.5, 0.4).astype(np.float32)
     travel = np.zeros_like(load)
     travel[5:8, 0] = 1.2
-    records = recording.records._replace(parts={"wheels": WheelRecord(load, travel, tipped)})
-    wheeled = dataclasses.replace(recording, records=records, parts={"wheels": WheelReport()})
+    records = with_parts(recording, wheels=WheelRecord(load, travel, tipped))
+    parts = {**recording.parts, "wheels": WheelReport()}
+    wheeled = dataclasses.replace(recording, records=records, parts=parts)
     metrics = wheeled.metrics().parts["wheels"]
     assert metrics.num_tipped == 1
     assert metrics.tipped_at == pytest.approx(31 * recording.control_period)
     assert metrics.load_transfer == pytest.approx(1.5)
     assert metrics.hanging_steps == 3
-    assert recording.metrics().parts == {}
+    assert set(recording.metrics().parts) == {"team"}
 
 
 def test_contacts_count_once_while_they_last(recording) -> None:
-    touched = np.array(recording.records.is_contact)
+    team = recording.records.parts["team"]
+    touched = np.array(team.is_contact)
     touched[10:20], touched[40, 1] = True, True
-    records = recording.records._replace(is_contact=touched)
-    assert dataclasses.replace(recording, records=records).metrics().contacts == 2
+    records = with_parts(recording, team=team._replace(is_contact=touched))
+    assert dataclasses.replace(recording, records=records).metrics().parts["team"].contacts == 2
 
 
 def test_pictures_and_files_are_drawn(recording, tmp_path) -> None:
@@ -360,7 +378,7 @@ def test_pictures_and_files_are_drawn(recording, tmp_path) -> None:
 def test_a_run_folder_holds_the_whole_run(recording, tmp_path) -> None:
     Run(recording, recording.metrics()).save(tmp_path / "run", animation=False)
     loaded = Run.load(tmp_path / "run").recording
-    assert isinstance(loaded, FleetRecording)
+    assert isinstance(loaded, ExplorationRecording)
     np.testing.assert_array_equal(loaded.trails, recording.trails)
     np.testing.assert_array_equal(loaded.frames[-1].probability, recording.frames[-1].probability)
     arrays = np.load(tmp_path / "run" / "arrays.npz")
@@ -373,7 +391,7 @@ def test_positions_move_with_the_datum(recording) -> None:
     np.testing.assert_allclose(moved.trails, recording.trails + offset, rtol=1e-9)
     frame = recording.frames[-1]
     np.testing.assert_allclose(
-        frame.move(offset, recording.state_names).positions, frame.positions + offset
+        moved.places(frame.move(offset, recording.state_names)), recording.places(frame) + offset
     )
 
 

@@ -45,7 +45,7 @@ def test_the_run_ends_when_one_robot_is_at_the_goal(driven) -> None:
     # At rest within 0.15 m: one of them, and the other was on its way.
     assert away[:, used - 1].min() <= 0.15
     assert (away[:, : used - 1] > 0.15).all(axis=0)[: used // 2].all()
-    assert not records.is_contact.any()
+    assert not records.parts["team"].is_contact.any()
 
 
 def test_a_fleet_explores_before_it_is_finished_at_the_goal(driven) -> None:

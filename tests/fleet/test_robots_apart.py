@@ -8,7 +8,7 @@ import pytest
 from jaxplore import DifferentialDrive
 from jaxplore.belief.obstacles import FRESH, Plans
 from jaxplore.dynamics import Formation
-from jaxplore.simulation.fleet.contact import predict_positions, stop_touching
+from jaxplore.simulation.fleet.contact import find_room, predict_positions, stop_touching
 
 ROBOT = DifferentialDrive(max_speed=1.0, radius=0.2)
 THREE = Formation([ROBOT] * 3)
@@ -27,6 +27,20 @@ def test_those_that_would_touch_stop_and_the_others_move() -> None:
     places = THREE.positions(jnp.concatenate(after.states))
     np.testing.assert_allclose(places, [[0.0, 0.0], [0.42, 0.0], [3.1, 0.0]], atol=1e-6)
     np.testing.assert_allclose(after.gap, [0.02, 0.02, 2.28], atol=1e-5)
+
+
+def test_a_robot_is_put_down_where_it_touches_no_other() -> None:
+    here = jnp.array([[0.0, 0.0], [3.0, 0.0], [6.0, 0.0]])
+
+    def rooms(*landings):
+        put = [None if each is None else jnp.array([*each, 1.0]) for each in landings]
+        return np.asarray(find_room(put, here, RADII)).tolist()
+
+    assert rooms((9.0, 0.0), (12.0, 0.0), (0.0, 2.0)) == [True] * 3
+    # On one that stays, on one that is put down beside it, and where the robot itself stands.
+    assert rooms((2.7, 0.0), None, None)[0] is False
+    assert rooms((9.0, 0.0), (9.0, 0.39), (6.0, 0.2)) == [False, False, True]
+    assert rooms((9.0, 0.0), (9.0, 0.41), None) == [True] * 3
 
 
 def test_a_robot_that_would_drive_into_one_that_has_stopped_stops_as_well() -> None:

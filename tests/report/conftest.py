@@ -13,8 +13,7 @@ from jaxplore.parts.wheels.report import WheelRecord, WheelReport
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.report.fleet.data import FleetFrame, FleetRecord
-from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.report.exploration.team import TeamRecord, TeamReport
 from jaxplore.report.following.data import PathFrame, PathRecord
 from jaxplore.report.following.recording import PathRecording
 
@@ -411,7 +410,7 @@ def written(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[float, flo
 
 
 @pytest.fixture
-def fleet_run(recording: ExplorationRecording) -> FleetRecording:
+def fleet_run(recording: ExplorationRecording) -> ExplorationRecording:
     """Return a run of two robots with numbers at random; the second hears the first at the end."""
     shape, steps = (4, 6), 6
     random = np.random.default_rng(1)
@@ -420,34 +419,46 @@ def fleet_run(recording: ExplorationRecording) -> FleetRecording:
     shares, ones = random.random((steps, 2)).astype(np.float32), np.ones(steps, np.float32)
     hits = np.zeros((steps, 2), bool)
     hits[1, 0] = True
-    records = FleetRecord(
+    records = ExplorationRecord(
         state=states,
         control=np.ones((steps, 4), np.float32),
         coverage=ones,
-        coverages=shares,
+        entropy=None,
+        unknown=None,
+        unknown_map=None,
         clearance=shares + 1.0,
         is_collision=hits,
         is_untraversable=np.zeros((steps, 2), bool),
-        is_contact=np.zeros((steps, 2), bool),
         effective_sample_size=ones,
         is_finite=np.ones(steps, bool),
-        sent=ones,
-        links=np.ones(steps, np.int32),
-        parts={},
+        is_faulty=np.zeros(steps, bool),
+        targets_seen=np.zeros(steps, np.int32),
+        parts={
+            "team": TeamRecord(shares, np.zeros((steps, 2), bool), ones, np.ones(steps, np.int32))
+        },
+        members=None,
     )
     frames = tuple(
-        FleetFrame(
+        ExplorationFrame(
             step=step,
             time=step * 0.1,
-            positions=(start if step == 0 else states[step - 1])[[0, 1, 3, 4]].reshape(2, 2),
-            headings=(start if step == 0 else states[step - 1])[[2, 5]],
+            state=start if step == 0 else states[step - 1],
+            heading=(start if step == 0 else states[step - 1])[[2, 5]],
             probability=random.integers(0, 256, shape, np.uint8),
-            plans=random.random((2, 3, 2)).astype(np.float32),
-            links=np.array([[True, step > 0], [step > 0, True]]),
+            information=np.zeros((0, 0), np.float32),
+            scan=np.zeros((0, 2)),
+            samples=np.zeros((0, 1, 2)),
+            weights=np.zeros(0),
+            plan=random.random((2, 3, 2)).astype(np.float32),
+            reference=np.zeros((0, 2)),
+            movers=np.zeros((0, 2)),
+            terms={},
+            sample_terms={},
+            parts={"team": {"links": np.array([[True, step > 0], [step > 0, True]])}},
         )
         for step in (0, 3, steps)
     )
-    return FleetRecording(
+    return ExplorationRecording(
         records=records,
         frames=frames,
         timing=recording.timing,
@@ -455,7 +466,7 @@ def fleet_run(recording: ExplorationRecording) -> FleetRecording:
         is_interrupted=False,
         world=random.random(shape).astype(np.float32),
         belief=np.full(shape, 0.5, np.float32),
-        beliefs=random.integers(0, 256, (2, *shape), np.uint8),
+        parts={"team": TeamReport("claims", random.integers(0, 256, (2, *shape), np.uint8))},
         reachable=np.ones(shape, bool),
         origin=np.array([1.0, 2.0, 0.0]),
         resolution=0.5,
@@ -466,8 +477,15 @@ def fleet_run(recording: ExplorationRecording) -> FleetRecording:
         target_coverage=0.9,
         finished_step=None,
         given_up_step=None,
-        radii=np.array([0.2, 0.3], np.float32),
-        coordination="claims",
+        robot_radius=np.array([0.2, 0.3], np.float32),
+        footprint=(np.zeros((0, 2)), np.zeros((0, 2))),
+        initial_entropy=12.0,
+        goal=None,
+        control_half_range=np.ones(4, np.float32),
+        field_origin=np.array([1.0, 2.0, 0.0]),
+        field_resolution=0.5,
+        mover_radii=np.zeros(0),
+        member_names=(),
     )
 
 

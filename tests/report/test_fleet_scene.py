@@ -3,12 +3,13 @@
 import dataclasses
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 
 from jaxplore.parts.battery.report import BatteryReport
-from jaxplore.report.fleet.animation import robot_colour
-from jaxplore.tasks.exploration.scene import FleetScene
+from jaxplore.report.exploration.team import robot_colour
+from jaxplore.tasks.exploration.scene import ExplorationScene
 
 
 class Nodes:
@@ -37,7 +38,7 @@ class Nodes:
 @pytest.fixture
 def drawn(fleet_run):
     server = Nodes()
-    scene = FleetScene(server, fleet_run)
+    scene = ExplorationScene(server, fleet_run)
     for frame in fleet_run.frames:
         scene.draw(frame, fleet_run.positions[: frame.step + 1])
     return server, scene
@@ -46,7 +47,7 @@ def drawn(fleet_run):
 def test_each_robot_is_where_it_is_in_its_colour(fleet_run, drawn) -> None:
     server, _ = drawn
     last = fleet_run.frames[-1]
-    for number, place in enumerate(last.positions):
+    for number, place in enumerate(fleet_run.places(last)):
         body = server.drawn[f"/robots/{number}"]
         np.testing.assert_allclose(body.vertices[:, :2].mean(axis=0), place, atol=1e-5)
         away = np.hypot(*(body.vertices[:, :2] - place).T)
@@ -62,29 +63,26 @@ def test_each_robot_is_where_it_is_in_its_colour(fleet_run, drawn) -> None:
 
 def test_a_line_joins_robots_that_hear_each_other(fleet_run, drawn) -> None:
     server, scene = drawn
-    deaf = dataclasses.replace(fleet_run.frames[-1], links=np.eye(2, dtype=bool))
-    heard = dataclasses.replace(deaf, links=np.ones((2, 2), bool))
+    deaf, heard = (
+        dataclasses.replace(fleet_run.frames[-1], parts={"team": {"links": links}})
+        for links in (np.eye(2, dtype=bool), np.ones((2, 2), bool))
+    )
     scene.draw(heard, fleet_run.positions)
     ends = server.drawn["/links"].points[0, :, :2]
-    np.testing.assert_allclose(ends, heard.positions, atol=1e-5)
+    np.testing.assert_allclose(ends, fleet_run.places(heard), atol=1e-5)
     scene.draw(deaf, fleet_run.positions)
     assert (server.drawn["/links"].points[0, :, 2] < -100.0).all()
 
 
 def test_a_run_that_goes_on_has_the_ways_of_its_frames(fleet_run) -> None:
-    blank = dataclasses.replace(
-        fleet_run,
-        records=type(fleet_run.records)(
-            *(None if each is None else each if isinstance(each, dict) else each[:0]
-              for each in fleet_run.records)
-        ),
-    )  # fmt: skip
+    records = jax.tree.map(lambda rows: rows[:0], fleet_run.records)
+    blank = dataclasses.replace(fleet_run, records=records)
     server = Nodes()
-    scene = FleetScene(server, blank)
+    scene = ExplorationScene(server, blank)
     for frame in fleet_run.frames:
         scene.draw(frame, fleet_run.positions[:1])
     way = server.drawn["/trail/1"].points
-    places = np.stack([frame.positions[1] for frame in fleet_run.frames])
+    places = np.stack([fleet_run.places(frame)[1] for frame in fleet_run.frames])
     np.testing.assert_allclose(way[:, 0, :2], places[:-1], atol=1e-5)
     np.testing.assert_allclose(way[:, 1, :2], places[1:], atol=1e-5)
     # An earlier frame has the way so far.
@@ -98,9 +96,10 @@ def test_docks_and_the_goal_are_shown(fleet_run) -> None:
     docks = BatteryReport(np.array([[0.5, 0.5], [1.5, 0.5]]), 26.0, 0.2, 1.0)
     server = Nodes()
     goal = np.array([1.0, 1.2])
-    FleetScene(server, dataclasses.replace(fleet_run, parts={"battery": docks}, goal=goal)).draw(
-        fleet_run.frames[0], fleet_run.positions[:1]
-    )
+    ExplorationScene(
+        server,
+        dataclasses.replace(fleet_run, parts={**fleet_run.parts, "battery": docks}, goal=goal),
+    ).draw(fleet_run.frames[0], fleet_run.positions[:1])
     shown = server.drawn["/targets/goal"].vertices[:, :2].mean(axis=0)
     np.testing.assert_allclose(shown, goal, atol=1e-5)
     np.testing.assert_allclose(

@@ -330,7 +330,7 @@ def test_a_fleet_is_recorded_with_each_robot_under_its_name(
         ]
         np.testing.assert_allclose(
             found,
-            [(*frame.positions[number], frame.headings[number]) for frame in frames],
+            [(*run.places(frame)[number], frame.headings[number]) for frame in frames],
             atol=1e-6,
         )
         frame_id = f"{name}/base_link"
@@ -344,7 +344,7 @@ def test_a_fleet_is_recorded_with_each_robot_under_its_name(
         np.testing.assert_array_equal(np.float32(drawn), frames[-1].plans[number])
         (grid,) = of(messages, f"/{name}/belief")
         levels = grid_values(grid.content, "probability", np.uint8)
-        np.testing.assert_array_equal(levels, run.beliefs[number])
+        np.testing.assert_array_equal(levels, run.parts["team"].beliefs[number])
         assert grid.time == pytest.approx(steps * 0.1)
         entity = {each.id: each for each in of(messages, "/objects")[-1].content.entities}[name]
         assert entity.frame_id == frame_id
@@ -353,7 +353,7 @@ def test_a_fleet_is_recorded_with_each_robot_under_its_name(
     # A collision between two messages is in the next of them.
     assert [each.content["is_collision"] for each in first] == [1.0, 0.0]
     assert [each.content["is_collision"] for each in second] == [0.0, 0.0]
-    assert np.float32(second[-1].content["coverage"]) == run.records.coverages[-1, 1]
+    assert np.float32(second[-1].content["coverage"]) == run.records.parts["team"].coverages[-1, 1]
     linked = [
         {each.id: each for each in message.content.entities}["links"].lines
         for message in of(messages, "/objects")

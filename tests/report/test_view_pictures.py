@@ -169,7 +169,7 @@ def test_the_history_of_pieces_is_that_of_the_whole(name, request) -> None:
     elif name == "fleet_run":
         (main,) = plots.values()
         assert main.names == ("robot 1", "robot 2", "together")
-        np.testing.assert_array_equal(main.rows[:, 1:3], run.records.coverages)
+        np.testing.assert_array_equal(main.rows[:, 1:3], run.records.parts["team"].coverages)
         np.testing.assert_array_equal(main.rows[:, 3], run.records.coverage)
     else:
         main = next(iter(plots.values()))

@@ -149,12 +149,9 @@ def _in_parts(experiment: Experiment, workers: int, num_trajectories: int) -> Ru
 
 def _rollouts(frame: Any) -> int:
     """Return the number of rollouts of which a frame was made."""
-    if hasattr(frame, "samples"):
-        return len(frame.samples)
-    # Frames of other tasks show the plan alone.
-    plans = getattr(frame, "plans", None)
-    plan = frame.plan if plans is None else plans[0]
-    return NUM_TRAJECTORIES if len(plan) else 0
+    # Frames of other tasks, and of several robots, show the plan alone.
+    number = len(getattr(frame, "samples", ()))
+    return number or (NUM_TRAJECTORIES if frame.plan.size else 0)
 
 
 def _take_settings(options: dict[str, Any], folder: Path) -> None:

@@ -67,10 +67,25 @@ class Frame:
 
 
 def move_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Return states (..., nx) with an offset (2,) [m] added to x and y, if they have them."""
-    if "x" not in names or "y" not in names:
-        return states
-    return move_points(states, offset, (names.index("x"), names.index("y")))
+    """Return states (..., nx) with an offset (2,) [m] added to x and y of each robot, if any."""
+    for own in robot_columns(names).values():
+        if "x" in own and "y" in own:
+            states = move_points(states, offset, (own["x"], own["y"]))
+    return states
+
+
+def robot_columns(names: Sequence[str]) -> dict[str, dict[str, int]]:
+    """Return for each robot the columns of a state (nx,) by the names of its components.
+
+    Of several robots the names end with their numbers, as `Formation` gives them: `x_1`, `y_2`.
+    """
+    if "x" in names or "x_1" not in names:
+        return {"": {name: column for column, name in enumerate(names)}}
+    found: dict[str, dict[str, int]] = {}
+    for column, name in enumerate(names):
+        own, _, number = name.rpartition("_")
+        found.setdefault(number, {})[own] = column
+    return found
 
 
 def move_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:

@@ -36,8 +36,9 @@ class Faults(eqx.Module):
         walls: (H, W) cells that become solid, in a volume (D, H, W) voxels.
         walls_from: time at which they do [s].
         carried_at: time at which the robot is carried to another place, where it stands [s]; never
-            when absent. Its odometry does not notice. For explorations by one robot. The time may
-            change without a new compilation, but not from absent to present.
+            when absent. Its odometry does not notice. For explorations in the plane; a robot of a
+            fleet is carried to a place of its own, unless it would touch another one there. The
+            time may change without a new compilation, but not from absent to present.
         carried_to: pose (x, y, yaw) at which it is put down [m, m, rad]; when absent a pose in a
             cell that it can reach, drawn by the key of the run. `carried_at` says when.
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxplore._types import StateVector
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.formation import Formation
 from jaxplore.geometry.footprint import Footprint, Rectangle
 
 
@@ -18,6 +19,13 @@ def robot_fields(robot: Dynamics, start: StateVector) -> dict[str, Any]:
         "robot_radius": float(robot.radius),
         "footprint": footprint_corners(robot.footprint),
     }
+
+
+def fleet_fields(formation: Formation, start: StateVector) -> dict[str, Any]:
+    """Return the same fields of several robots, with an entry for each."""
+    prints = tuple(footprint_corners(each.footprint) for each in formation.robots)
+    radii = np.array([float(each.radius) for each in formation.robots])
+    return {**robot_fields(formation, start), "robot_radius": radii, "footprint": prints}
 
 
 def footprint_corners(footprint: Footprint) -> np.ndarray:

@@ -72,6 +72,7 @@ def draw_body(
     radius: float,
     position: np.ndarray,
     heading: float,
+    colour: Colour = ROBOT,
 ) -> None:
     """Draw a robot, a rectangle or a disc, with an arrow in its heading.
 
@@ -86,11 +87,11 @@ def draw_body(
         width = float(np.ptp(footprint[:, 1]))
         larger = max(1.0, LEAST_RADIUS * surface.unit / (0.5 * width * surface.scale))
         corners = surface.pixels(outline_at(larger * footprint, position, heading))
-        draw.polygon(pairs(corners), ROBOT, PAPER, edge)
+        draw.polygon(pairs(corners), colour, PAPER, edge)
         middle, reach = corners.mean(axis=0), 0.5 * larger * width * surface.scale
     else:
         x, y = middle.tolist()
-        draw.ellipse((x - reach, y - reach, x + reach, y + reach), ROBOT, PAPER, edge)
+        draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour, PAPER, edge)
     if is_turned:
         unit = np.array([np.cos(heading), np.sin(heading)])
         # The direction is measured in pixels, because a surface may be rotated or flipped.

@@ -31,6 +31,7 @@ from jaxplore.report.drawing.palette import (
     PAPER,
     PLAN,
     REFERENCE,
+    ROBOT,
     STRONG,
     TRAIL,
     Colour,
@@ -45,10 +46,10 @@ from jaxplore.report.drawing.shapes import (
     draw_targets,
 )
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
-from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
+from jaxplore.report.exploration.data import TEAM, ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.legend import mission_colours
 from jaxplore.report.exploration.map_canvas import MapCanvas
-from jaxplore.report.exploration.progress import find_carried_steps
+from jaxplore.report.exploration.team import robot_colour
 
 NUM_RAYS = 45
 DASH = 7.0
@@ -97,12 +98,13 @@ def _ground(canvas: Canvas, frame: ExplorationFrame) -> np.ndarray:
     # Sixteen levels instead of 256 make a small file; the last one is drawn as fully occupied.
     colours = belief_colours()[level // 16 * 16 + (level >= WALL_LEVEL) * 15].astype(np.float32)
     colours[_is_unknown(level)] = belief_colours()[128]
-    information = _smooth(np.nan_to_num(frame.information)).ravel()[canvas.corners]
-    heat = np.clip((information * canvas.shares).sum(0) / canvas.brightest, 0.0, 1.0)
-    alpha = np.round(heat * HEAT_LEVELS) / HEAT_LEVELS * MAX_HEAT
-    # Only known-free cells, those below a quarter of 255, can be entered to gain information.
-    alpha = np.where(level < 64, alpha, 0.0)[..., None]
-    colours += alpha * (np.asarray(HEAT, np.float32) - colours)
+    if frame.information.size:
+        information = _smooth(np.nan_to_num(frame.information)).ravel()[canvas.corners]
+        heat = np.clip((information * canvas.shares).sum(0) / canvas.brightest, 0.0, 1.0)
+        alpha = np.round(heat * HEAT_LEVELS) / HEAT_LEVELS * MAX_HEAT
+        # Only known-free cells, those below a quarter of 255, can be entered to gain information.
+        alpha = np.where(level < 64, alpha, 0.0)[..., None]
+        colours += alpha * (np.asarray(HEAT, np.float32) - colours)
     closed = canvas.closed & (level < 192)
     colours[closed] += CLOSED_SHARE * (np.asarray(CLOSED, np.float32) - colours[closed])
     # Walls come last: where several cells share a pixel, a wall of one cell must not be lost.
@@ -122,32 +124,40 @@ def _draw_robot(
     frame: ExplorationFrame,
     draw: ImageDraw.ImageDraw,
 ) -> None:
-    """Draw the scan, the trail, the rollouts, the plan and the robot, in this order."""
-    names = recording.state_names
-    here = frame.state[[names.index("x"), names.index("y")]]
+    """Draw the scan, the trails, the rollouts, the plans and the robots, in this order.
 
+    Of several robots each has its colour.
+    """
+    places, robots = recording.places(frame), recording.robots
+    colours: list[tuple[Colour, Colour, Colour]] = [(TRAIL, PLAN, ROBOT)]
+    if TEAM in recording.parts:
+        colours = [(robot_colour(each.number),) * 3 for each in robots]
     line = partial(draw_line, canvas, draw)
     seen = frame.scan[np.isfinite(frame.scan).all(axis=-1)]
     if len(seen) > 1:
-        draw.polygon(pairs(canvas.pixels(np.concatenate([here[None], seen]))), LIDAR_AREA)
+        draw.polygon(pairs(canvas.pixels(np.concatenate([places[:1], seen]))), LIDAR_AREA)
     for end in seen[:: max(1, len(seen) // NUM_RAYS)]:
-        line(np.stack([here, end]), LIDAR_RAY, 0.5)
-    cuts = np.flatnonzero(find_carried_steps(recording)[: frame.step]) + 1
-    for piece in np.split(recording.positions[: frame.step + 1], cuts):
-        line(piece, TRAIL, 1.5)
+        line(np.stack([places[0], end]), LIDAR_RAY, 0.5)
+    for each, (colour, *_) in zip(robots, colours, strict=True):
+        for piece in each.ways(frame.step):
+            line(piece, colour, 1.5)
     draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
-    for each in recording.parts.values():
-        each.draw(canvas, draw, recording, frame)
+    for part in recording.parts.values():
+        part.draw(canvas, draw, recording, frame)
     _draw_moving_obstacles(canvas, recording.mover_radii, frame, draw)
     _draw_tracks(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
         _draw_dashes(canvas, draw, frame.reference)
-    line(frame.plan, PLAN, 2.0)
+    for plan, (_, colour, _) in zip(frame.plans, colours, strict=True):
+        line(plan, colour, 2.0 if colour == PLAN else 3.0)  # in the colour of the trail: wider
     if recording.goal is not None:
         draw_goal(canvas, draw, recording.goal)
-    footprint, radius = recording.footprint, recording.robot_radius
-    draw_body(canvas, draw, footprint, radius, here, frame.heading)
+    headings = frame.headings.tolist()
+    for each, here, heading, (*_, colour) in zip(robots, places, headings, colours, strict=True):
+        # A robot whose state is lost is nowhere.
+        if np.isfinite(here).all():
+            draw_body(canvas, draw, each.footprint, each.radius, here, heading, colour)
 
 
 def _draw_moving_obstacles(
@@ -198,8 +208,12 @@ def compute_palette(recording: ExplorationData, pictures: Sequence[Image.Image])
     are fixed, pure and blended with the background. The others are computed from the pictures. What
     the recording does not have gets no colour.
     """
-    lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
+    lines: tuple[Colour, ...] = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, *lines]
+    if TEAM in recording.parts:
+        lines += tuple(recording.parts[TEAM].colours())
+        # Of the many colours of robots one would be the nearest to a wall that is hardly known.
+        given += [tuple(colour) for colour in belief_colours()[176:255:16].tolist()]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
     given += [blend(HEAT, FREE, k / HEAT_LEVELS * MAX_HEAT) for k in range(1, HEAT_LEVELS + 1)]
     if recording.traversable is not None:

@@ -89,6 +89,8 @@ def _field_stencil(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return for each drawn cell the flat indices of four nodes and their bilinear weights."""
     nodes = recording.frames[0].information.shape
+    if not all(nodes):
+        return np.zeros((4, 0, 0), int), np.zeros((4, 0, 0), np.float32)
     y, x = (
         (index + first + 0.5) * window.resolution
         for index, first in zip(sample, window.first, strict=True)
@@ -121,5 +123,6 @@ def _field_stencil(
 
 def _brightest(frames: tuple[ExplorationFrame, ...]) -> float:
     """Return an information that few nodes exceed in any frame [nat]."""
-    highs = [np.percentile(np.nan_to_num(frame.information), 98) for frame in frames]
-    return max(float(np.median(highs)), 1e-6)
+    fields = [np.nan_to_num(frame.information) for frame in frames if frame.information.size]
+    highs = [np.percentile(each, 98) for each in fields]
+    return max(float(np.median(highs)), 1e-6) if highs else 1.0

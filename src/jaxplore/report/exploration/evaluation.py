@@ -17,20 +17,18 @@ from jaxplore.report.motion import command_jerk, episodes
 
 def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> ExplorationMetrics:
     """Compute the metrics of a run, finished or not; without a step those of its start."""
-    records, period, steps = recording.records, recording.control_period, recording.num_steps
+    records, period = recording.records, recording.control_period
     time, coverage, entropy, path = progress(recording)
-    in_contact = np.asarray(records.is_collision, bool)
+    in_contact = recording.by_robot(records.is_collision).astype(bool)
     sample_size = np.asarray(records.effective_sample_size, np.float64)
     sample_size = sample_size[np.isfinite(sample_size)]
-    unknown = at_instants(records.unknown, recording.initial_unknown)
-    curve = {
-        "time": time,
-        "coverage": coverage,
-        "entropy": entropy,
-        "path": path,
-        "unknown": unknown,
-        **mission_curves(recording),
-    }
+    curve = {"time": time, "coverage": coverage, "path": path, **mission_curves(recording)}
+    final_entropy, final_unknown = measure_belief(recording)
+    if entropy is not None and records.unknown is not None:
+        unknown = at_instants(records.unknown, recording.initial_unknown)
+        curve |= {"entropy": entropy, "unknown": unknown}
+        final_entropy, final_unknown = entropy[-1], float(unknown[-1])
+    lost = recording.initial_entropy - final_entropy
     finished_at, given_up = _find_finish(recording, float(coverage[-1])), recording.given_up_step
     diversity, replaced = fusion_means(recording)
     return ExplorationMetrics(
@@ -43,19 +41,17 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         **reach_levels(coverage, path, period),
         path_length=float(path[-1]),
         initial_entropy=finite(recording.initial_entropy),
-        final_entropy=finite(entropy[-1]),
+        final_entropy=finite(final_entropy),
         initial_unknown=recording.initial_unknown,
-        final_unknown=float(records.unknown[-1]) if steps else recording.initial_unknown,
-        information_per_metre=(
-            finite((recording.initial_entropy - entropy[-1]) / path[-1]) if path[-1] > 0 else None
-        ),
+        final_unknown=final_unknown,
+        information_per_metre=finite(lost / path[-1]) if path[-1] > 0 else None,
         goal_distance=_goal_distance(recording),
         command_jerk=command_jerk(
             records.control, recording.control_half_range, recording.control_period
         ),
         fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
         **guard_metrics(records.stop),
-        collisions=episodes(in_contact),
+        collisions=sum(episodes(each) for each in in_contact.T),
         collision_steps=int(in_contact.sum()),
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         mean_effective_sample_size=finite(sample_size.mean()) if sample_size.size else None,
@@ -68,9 +64,20 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         replaced=replaced,
         **localisation_metrics(recording),
         reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
-        longest_stall=longest_stall(recording.positions, coverage) * period,
+        longest_stall=period
+        * max(longest_stall(each.positions, coverage) for each in recording.robots),
         coverage_curve=thin_series(curve, period),
     )
+
+
+def measure_belief(recording: ExplorationData) -> tuple[float, float]:
+    """Return the entropy of the reachable cells on the map at the end [nat], and the share of them
+    that is unknown."""
+    p = np.asarray(recording.belief, np.float64)[np.asarray(recording.reachable, bool)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        terms = np.nan_to_num(p * np.log(p)) + np.nan_to_num((1.0 - p) * np.log1p(-p))
+    is_unknown = 4.0 * p * (1.0 - p) > 0.5
+    return -float(terms.sum()), float(is_unknown.mean()) if p.size else 0.0
 
 
 def _find_finish(recording: ExplorationData, coverage: float) -> float | None:
@@ -101,7 +108,7 @@ def _walls_seen(recording: ExplorationData) -> float | None:
 def _goal_distance(recording: ExplorationData) -> float | None:
     if recording.goal is None:
         return None
-    return float(np.hypot(*(recording.positions[-1] - recording.goal)))
+    return float(np.hypot(*(recording.last_positions - recording.goal).T).min())
 
 
 def _first(mask: np.ndarray) -> int | None:

@@ -24,22 +24,26 @@ from jaxplore.report.drawing.palette import (
     TRAIL,
     Colour,
 )
-from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.data import TEAM, ExplorationData
 from jaxplore.report.exploration.mission import MissionData
 from jaxplore.report.exploration.progress import is_known_map
 
 
 def legend_entries(recording: ExplorationData, *, has_closed: bool) -> tuple[Entry, ...]:
     """Return the legend's entries; `has_closed` is set if untraversable ground is drawn."""
-    frames = recording.frames
+    # The legend of several robots has one entry for each, which stands for its trail and plan.
+    frames, is_one = recording.frames, TEAM not in recording.parts
     entries = (
-        (Entry("robot", ROBOT, "disc"), True),
-        (Entry("trail", TRAIL, "line"), recording.num_steps > 0),
-        (Entry("plan", PLAN, "line"), any(len(each.plan) for each in frames)),
+        (Entry("robot", ROBOT, "disc"), is_one),
+        (Entry("trail", TRAIL, "line"), is_one and recording.num_steps > 0),
+        (Entry("plan", PLAN, "line"), is_one and any(each.plan.size for each in frames)),
         (Entry("rollouts", STRONG[:3], "line"), any(len(each.samples) for each in frames)),
         (Entry("reference", REFERENCE, "dashes"), any(len(each.reference) > 1 for each in frames)),
         (Entry("lidar", LIDAR_RAY[:3], "line"), any(len(each.scan) for each in frames)),
-        (Entry("information", blend(HEAT, FREE, MAX_HEAT)), True),
+        (
+            Entry("information", blend(HEAT, FREE, MAX_HEAT)),
+            any(each.information.size for each in frames),
+        ),
         (Entry("unknown", UNKNOWN), True),
         (Entry("wall", OCCUPIED), True),
         (Entry("unseen wall", HIDDEN_WALL), not is_known_map(recording)),

@@ -16,7 +16,7 @@ from jaxplore.report.drawing.colours import (
     shade,
 )
 from jaxplore.report.drawing.picture import outline_at
-from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.data import ExplorationData, RobotRun
 from jaxplore.report.exploration.mission import MissionData
 from jaxplore.report.exploration.window import Window
 
@@ -169,16 +169,15 @@ def add_moving_obstacles(axes: "Axes", recording: ExplorationData, window: Windo
     )
 
 
-def add_footprint(axes: "Axes", recording: ExplorationData, window: Window) -> None:
+def add_footprint(axes: "Axes", robot: RobotRun, window: Window) -> None:
     """Draw the outline of a rectangular robot at the start and at the end."""
     from matplotlib.patches import Polygon
 
-    if not len(recording.footprint) or "yaw" not in recording.state_names:
+    if not len(robot.footprint) or "yaw" not in robot.columns:
         return
-    yaw = recording.state_names.index("yaw")
-    states = np.concatenate([recording.start[None], recording.records.state])[[0, -1]]
-    for position, heading in zip(recording.positions[[0, -1]], states[:, yaw], strict=True):
-        corners = outline_at(recording.footprint, position, float(heading))
+    headings = robot.states[[0, -1], robot.columns["yaw"]]
+    for position, heading in zip(robot.positions[[0, -1]], headings, strict=True):
+        corners = outline_at(robot.footprint, position, float(heading))
         outline = Polygon(
             window.place(corners) + window.corner,
             fill=False,

@@ -15,8 +15,8 @@ from jaxplore.report.drawing.colours import (
     belief_colours,
     shade,
 )
-from jaxplore.report.drawing.series import style_count
-from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.drawing.series import line_style, style_count
+from jaxplore.report.exploration.data import TEAM, ExplorationData, RobotRun
 from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.localisation import add_estimate
 from jaxplore.report.exploration.map_axes import (
@@ -33,13 +33,21 @@ from jaxplore.report.exploration.overlays import (
     add_targets,
     find_closed_cells,
 )
-from jaxplore.report.exploration.progress import find_carried_steps, is_known_map, progress
+from jaxplore.report.exploration.progress import is_known_map, progress
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
+MARKS: dict[str, Any] = {
+    "markersize": 9.0,
+    "markeredgecolor": "white",
+    "linestyle": "none",
+    "zorder": 5.0,
+}
+"""Style of the marks of the start, the end and the goal."""
 MAX_SEGMENTS = 2000
 """Number of segments of the path that are coloured by time."""
 
@@ -53,11 +61,9 @@ def map_figure(recording: ExplorationData) -> "Figure":
     the last positions of the moving obstacles with their positions in the frames, and a rectangular
     robot's outline at the start and at the end.
 
-    A rotated map is drawn along its own axes. The function has more than 60 lines because the
-    order of its layers decides what covers what.
+    Of several robots each has a colour; the path of one is coloured by time. A rotated map is drawn
+    along its own axes.
     """
-    from matplotlib.collections import LineCollection
-
     window = Window.around_reachable(recording)
     width, height = map_inches(window)
     figure, axes = map_figure_axes(width + 1.8, height + 1.1, window)
@@ -70,31 +76,95 @@ def map_figure(recording: ExplorationData) -> "Figure":
     colours[window.crop(unseen, False)] = MISSED
     show_cells(axes, window, colours)
     time, coverage, _, path = progress(recording)
-    stride = max(1, -(-len(time) // MAX_SEGMENTS))
-    kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
-    track = (window.place(recording.positions) + window.corner)[kept]
-    duration = max(float(time[-1]), recording.control_period)
+    lines = None if TEAM in recording.parts else _time_lines(recording, window, time)
+    if lines is not None:
+        axes.add_collection(lines, autolim=False)
+    for each in recording.robots:
+        _add_track(axes, each, window, is_one=lines is not None)
+    if lines is None:
+        for marker, name in (("o", "start"), ("s", "end")):
+            axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
+    if recording.goal is not None:
+        spot = (window.place(recording.goal[None]) + window.corner)[0]
+        axes.plot(*spot, marker="*", color="#e9a23b", label="goal", **MARKS)
+    add_outline(axes, recording, window)
+    _add_missed(axes, recording, window, unseen)
+    add_ground(axes, recording, window)
+    add_targets(axes, recording, window)
+    add_moving_obstacles(axes, recording, window)
+    for part in recording.parts.values():
+        part.add_to_map(axes, recording, window)
+    for each in recording.robots:
+        add_footprint(axes, each, window)
+        add_estimate(axes, each, window)
+    handles, labels = axes.get_legend_handles_labels()
+    # What is drawn of each robot has one entry.
+    entries = dict(zip(reversed(labels), reversed(handles), strict=True))
+    names = sorted(entries, key=labels.index)
+    figure.legend(
+        [entries[name] for name in names],
+        names,
+        loc="outside lower center",
+        ncols=4 if len(names) <= 5 or width > 5.0 else 3,
+        frameon=False,
+        fontsize=9,
+    )
+    if lines is not None:
+        figure.colorbar(lines, ax=axes, label="time [s]", shrink=0.9, pad=0.02, aspect=30)
+    title = f"{time[-1]:.1f} s, {path[-1]:.1f} m"
+    if not is_known_map(recording):
+        title = f"{100.0 * coverage[-1]:.1f} % covered, {title}"
+    if len(recording.targets):
+        title += f", targets {_targets_seen(recording)[-1]:.0f} of {len(recording.targets)}"
+    figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def _kept_instants(number: int) -> np.ndarray:
+    """Return the instants that are drawn of a way with so many."""
+    stride = max(1, -(-number // MAX_SEGMENTS))
+    return np.unique(np.append(np.arange(0, number, stride), number - 1))
+
+
+def _time_lines(recording: ExplorationData, window: Window, time: np.ndarray) -> "LineCollection":
+    """Return the path of one robot, coloured by time."""
+    from matplotlib.collections import LineCollection
+
+    kept, robot = _kept_instants(len(time)), recording.robots[0]
+    track = (window.place(robot.positions) + window.corner)[kept]
     # Where the robot was carried it left no track.
-    number = np.append(0, np.cumsum(find_carried_steps(recording)))[kept]
+    number = np.append(0, np.cumsum(robot.is_carried))[kept]
     is_driven = number[:-1] == number[1:]
     pieces = np.stack([track[:-1], track[1:]], axis=1)[is_driven]
     lines = LineCollection(pieces.tolist(), cmap="viridis", linewidths=1.8)
     lines.set_array(time[kept[:-1]][is_driven])
-    lines.set_clim(0.0, duration)
+    lines.set_clim(0.0, max(float(time[-1]), recording.control_period))
     lines.set_capstyle("round")
-    axes.add_collection(lines, autolim=False)
-    marks: dict[str, Any] = {
-        "markersize": 9.0,
-        "markeredgecolor": "white",
-        "linestyle": "none",
-        "zorder": 5.0,
-    }
-    axes.plot(*track[0], marker="o", color="#2a9d5c", label="start", **marks)
-    if recording.goal is not None:
-        spot = (window.place(recording.goal[None]) + window.corner)[0]
-        axes.plot(*spot, marker="*", color="#e9a23b", label="goal", **marks)
-    axes.plot(*track[-1], marker="s", color="#e07a1f", label="end", **marks)
-    add_outline(axes, recording, window)
+    return lines
+
+
+def _add_track(axes: "Axes", robot: RobotRun, window: Window, *, is_one: bool) -> None:
+    """Draw where a robot starts and ends; of several robots also its way, in its colour."""
+    ends = window.place(robot.positions[[0, -1]]) + window.corner
+    if is_one:
+        axes.plot(*ends[0], marker="o", color="#2a9d5c", label="start", **MARKS)
+        axes.plot(*ends[1], marker="s", color="#e07a1f", label="end", **MARKS)
+        return
+    style = line_style(robot.number)
+    name = f"robot {robot.number + 1}: {robot.lengths[-1]:.1f} m"
+    for piece in robot.ways(len(robot.positions)):
+        way = window.place(piece[_kept_instants(len(piece))]) + window.corner
+        axes.plot(*way.T, linewidth=1.6, label=name, zorder=4.0, **style)
+    for place, marker in zip(ends, "os", strict=True):
+        axes.plot(*place, marker=marker, color=style["color"], **MARKS)
+
+
+def _add_missed(
+    axes: "Axes", recording: ExplorationData, window: Window, unseen: np.ndarray
+) -> None:
+    """Draw the outline of the walls that the belief lacks."""
+    from matplotlib.collections import LineCollection
+
     missed = true_outline(recording, window, unseen) + window.corner
     axes.add_collection(
         LineCollection(missed.tolist(), colors=[shade(MISSED)], linewidths=2.2, zorder=1.6),
@@ -104,30 +174,6 @@ def map_figure(recording: ExplorationData) -> "Figure":
         # What a robot saw from poses with errors may be on its map beside where it is.
         label = "wall not seen" if recording.localisation is None else "true wall, not on the map"
         axes.plot([], [], color=shade(MISSED), linewidth=3.0, label=label)
-    add_ground(axes, recording, window)
-    add_targets(axes, recording, window)
-    add_moving_obstacles(axes, recording, window)
-    for each in recording.parts.values():
-        each.add_to_map(axes, recording, window)
-    add_footprint(axes, recording, window)
-    add_estimate(axes, recording, window)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(
-        handles,
-        labels,
-        loc="outside lower center",
-        ncols=4 if len(labels) <= 5 or width > 5.0 else 3,
-        frameon=False,
-        fontsize=9,
-    )
-    figure.colorbar(lines, ax=axes, label="time [s]", shrink=0.9, pad=0.02, aspect=30)
-    title = f"{time[-1]:.1f} s, {path[-1]:.1f} m"
-    if not is_known_map(recording):
-        title = f"{100.0 * coverage[-1]:.1f} % covered, {title}"
-    if len(recording.targets):
-        title += f", targets {_targets_seen(recording)[-1]:.0f} of {len(recording.targets)}"
-    figure.suptitle(title, fontsize=11)
-    return figure
 
 
 def _targets_seen(recording: ExplorationData) -> np.ndarray:
@@ -150,7 +196,8 @@ def _unseen_walls(recording: ExplorationData) -> np.ndarray:
 def coverage_figure(recording: ExplorationData) -> "Figure":
     """Draw coverage and entropy over time, and the times at which levels of coverage were reached.
 
-    With targets, a second panel shows how many had been seen.
+    Of several robots it shows the coverage by the map of each in place of the entropy. With
+    targets, a second panel shows how many had been seen.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -164,16 +211,24 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
     grid = figure.add_gridspec(2, 1, height_ratios=[3.2, 1.0]) if has_targets else None
     axes = figure.add_subplot() if grid is None else figure.add_subplot(grid[0])
     duration = max(float(time[-1]), recording.control_period)
-    right = axes.twinx()
-    (loss,) = right.plot(time, entropy, color=brown, linewidth=1.4, label="entropy")
-    right.set_ylabel("entropy [nat]", color=brown)
-    right.tick_params(axis="y", colors=brown)
-    highest = max(recording.initial_entropy, float(np.nanmax(entropy)), 1e-6)
-    right.set_ylim(0.0, 1.05 * highest)
-    # The coverage is drawn last, over the entropy.
-    axes.set_zorder(right.get_zorder() + 1)
-    axes.patch.set_visible(False)
-    (gain,) = axes.plot(time, 100.0 * coverage, color=blue, linewidth=2.0, label="coverage")
+    if entropy is not None:
+        right = axes.twinx()
+        (loss,) = right.plot(time, entropy, color=brown, linewidth=1.4, label="entropy")
+        right.set_ylabel("entropy [nat]", color=brown)
+        right.tick_params(axis="y", colors=brown)
+        highest = max(recording.initial_entropy, float(np.nanmax(entropy)), 1e-6)
+        right.set_ylim(0.0, 1.05 * highest)
+        # The coverage is drawn last, over the entropy.
+        axes.set_zorder(right.get_zorder() + 1)
+        axes.patch.set_visible(False)
+        (gain,) = axes.plot(time, 100.0 * coverage, color=blue, linewidth=2.0, label="coverage")
+        first = [gain, loss]
+    else:
+        # Wide and pale, below the curves of the robots that it is the upper bound of.
+        style: dict[str, Any] = {"color": "0.78", "linewidth": 5.0}
+        first = axes.plot(time, 100.0 * coverage, label="together", **style)
+        for number, (name, rows) in enumerate(recording.parts[TEAM].series(recording).items()):
+            axes.plot(time, 100.0 * rows, linewidth=1.2, label=name, **line_style(number))
     if recording.target_coverage is not None:
         level = 100.0 * recording.target_coverage
         axes.axhline(
@@ -198,11 +253,12 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
             clip_on=False,
         )
     # Outside, where it covers no curve.
-    handles = [gain, loss, *(each for each in axes.get_legend_handles_labels()[0] if each != gain)]
+    rest = [each for each in axes.get_legend_handles_labels()[0] if each not in first]
+    handles = [*first, *rest]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     axes.set(xlim=(0.0, duration), ylim=(0.0, 104.0), xlabel="time [s]")
-    axes.set_ylabel("coverage [%]", color=blue)
-    axes.tick_params(axis="y", colors=blue)
+    axes.set_ylabel("coverage [%]", color="black" if entropy is None else blue)
+    axes.tick_params(axis="y", colors="black" if entropy is None else blue)
     axes.grid(color="0.2", alpha=0.12, linewidth=0.6)
     above = axes.twiny()
     ticks = np.linspace(0.0, duration, 7)

@@ -12,31 +12,27 @@ STALL_RADIUS = 0.25
 """Half the side of the square within which a robot counts as stalled [m]."""
 
 
-def progress(recording: ExplorationData) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def progress(
+    recording: ExplorationData,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
     """Compute time [s], coverage, entropy [nat] and path length [m] at the N + 1 instants of a run.
 
     Instant k is the beginning of step k, the last one the end of the run: nothing is sensed after
     the last step, so coverage and entropy keep their last values there. In a run without a step
-    they are those at the start.
+    they are those at the start. The path is that of all robots. Of several robots the entropy is
+    None.
     """
-    records, steps = recording.records, recording.num_steps
+    records = recording.records
     coverage, entropy = (
-        at_instants(values, initial).astype(np.float32)
+        None if values is None else at_instants(values, initial).astype(np.float32)
         for values, initial in (
             (records.coverage, recording.initial_coverage),
             (records.entropy, recording.initial_entropy),
         )
     )
-    moves = np.diff(recording.positions.astype(np.float64), axis=0)
-    moves[find_carried_steps(recording)] = 0.0
-    path = np.concatenate([[0.0], np.cumsum(np.hypot(moves[:, 0], moves[:, 1]))])
-    return np.arange(steps + 1) * recording.control_period, coverage, entropy, path
-
-
-def find_carried_steps(recording: ExplorationData) -> np.ndarray:
-    """Return the mask (N,) of the steps at whose end a fault carried the robot to another place."""
-    given = recording.records.is_carried
-    return np.zeros(recording.num_steps, bool) if given is None else np.asarray(given, bool)
+    assert coverage is not None
+    path = np.sum([each.lengths for each in recording.robots], axis=0)
+    return recording.time, coverage, entropy, path
 
 
 def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:

@@ -4,14 +4,14 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
 from jaxplore.maps.files.ros import write_map
 from jaxplore.report.exploration.animation import compute_palette, frame_image, painter
-from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
+from jaxplore.report.exploration.data import TEAM, ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.members import members_figure
 from jaxplore.report.exploration.metrics import ExplorationMetrics
@@ -29,7 +29,7 @@ EXPLORED = "explored.yaml"
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class ExplorationRecording(ExplorationData, Recording):
-    """A finished exploration run.
+    """A finished exploration run, by one robot or several.
 
     Its folder has `map.png`, the explored map for ROS's `map_server` (`explored.yaml` and
     `explored.pgm`) and `exploration.gif`; `coverage.png` unless the map was known in
@@ -45,7 +45,8 @@ class ExplorationRecording(ExplorationData, Recording):
     def course(self) -> Course:
         """Return what a comparison on several maps shows of the run."""
         _, coverage, entropy, path = progress(self)
-        return Course(coverage, path, self.positions[None], entropy, find_known)
+        places = np.stack([each.positions for each in self.robots])
+        return Course(coverage, path, places, entropy, find_known)
 
     def frame_image(self, frame: ExplorationFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a frame as in the animation."""
@@ -86,7 +87,7 @@ class ExplorationRecording(ExplorationData, Recording):
         `positions` (N + 1, 2) [m] with the start: step k leads from row k to row k + 1, and its
         coverage and entropy were measured at `time[k]`; `world` and `belief` (H, W) probabilities
         and `reachable` (H, W); `origin` [m, m, rad], `resolution` [m], `control_period` [s],
-        `start` and `state_names`.
+        `start` and `state_names`. Of N robots `positions` are (N, steps + 1, 2).
 
         Where they exist: `stop` of a robot with a guard; each field of `Members` as
         `members_NAME`, one row per step, with `member_names`; each field of the record of a part
@@ -94,7 +95,8 @@ class ExplorationRecording(ExplorationData, Recording):
         `traversable` (H, W) of the ground; `mover_radii` (M,) [m]; `footprint` (4, 2) corners of a
         rectangular robot [m]; of a robot that localised itself, `true_poses` and `estimated_poses`
         (N, 3) of its stored scans and the map `reference` (H, W) of the same scans at the true
-        poses.
+        poses. Of N robots these names end with the number of the robot, as `true_poses_1`, and
+        `radii` (N,) [m] takes the place of `footprint`.
         """
         time, *_ = progress(self)
         steps = {name: rows for name, rows in self.records._asdict().items() if rows is not None}
@@ -103,23 +105,26 @@ class ExplorationRecording(ExplorationData, Recording):
         if members is not None:
             steps |= {f"members_{name}": rows for name, rows in members._asdict().items()}
             steps["member_names"] = np.asarray(self.member_names, np.str_)
-        optional = {
+        optional: dict[str, Any] = {
             "targets": self.targets,
             "elevation": self.elevation,
             "traversable": self.traversable,
             "mover_radii": self.mover_radii,
-            "footprint": self.footprint,
         }
-        if self.localisation is not None:
-            optional |= {
-                "true_poses": self.localisation.true_poses,
-                "estimated_poses": self.localisation.poses,
-                "reference": self.localisation.reference,
-            }
+        is_one = TEAM not in self.parts
+        optional |= {"footprint": self.footprint} if is_one else {"radii": self.radii}
+        for each in self.robots:
+            end, found = "" if is_one else f"_{each.number + 1}", each.localisation
+            if found is not None:
+                optional |= {
+                    f"true_poses{end}": found.true_poses,
+                    f"estimated_poses{end}": found.poses,
+                    f"reference{end}": found.reference,
+                }
         return {
             **{name: np.asarray(rows) for name, rows in steps.items()},
             "time": time,
-            "positions": self.positions,
+            "positions": self.positions if is_one else self.trails,
             "world": self.world,
             "belief": self.belief,
             "reachable": self.reachable,

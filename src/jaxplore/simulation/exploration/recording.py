@@ -1,77 +1,71 @@
-"""The recording of an exploration run, from the arrays on the device."""
+"""The recording of an exploration by one robot or several, from the arrays on the device."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxplore._types import Position, Scalar, StateVector
 from jaxplore.belief.perception import Perception
-from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import (
     ExplorationFrame,
     ExplorationRecord,
     LocalisationData,
+    MapProgress,
 )
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.part import PartReport
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import has_coverage_target
-from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.robot_fields import robot_fields
 
 
 def make_recording(
-    before: ExplorationState,
+    one: Any,
     run: ChunkedRun[Any, ExplorationRecord, ExplorationFrame],
-    arrays: MapArrays,
-    robot: Dynamics,
-    start: StateVector,
-    period: float,
-    goal: Position | None,
-    target: str,
-    target_coverage: Scalar,
-    targets: Float[Array, "M 2"],
-    member_names: tuple[str, ...],
-    parts: Mapping[str, PartReport],
-    localisation: LocalisationData | None = None,
+    before: MapProgress,
+    after: ExplorationState,
     *,
-    is_given_up: bool = False,
+    belief: np.ndarray,
+    robots: Mapping[str, Any],
+    parts: Mapping[str, PartReport],
+    finished: int,
+    is_given_up: bool,
+    localisation: LocalisationData | tuple[LocalisationData, ...] | None,
+    member_names: tuple[str, ...] = (),
 ) -> ExplorationRecording:
     """Make the recording of a run.
 
-    `before` is the state before the first step; `run` has that at the end. `arrays` have the map's
-    own shape. `target_coverage` is above 1 for none. `parts` is what it shows of parts, by name.
-    `localisation` is where the robot took itself to be; None if it knew its pose.
+    `one` is the `ExplorationScenario` of the robot, or of the first one. `before` is what is said
+    of its map before the first step, of several of what they know together; `after` its state at
+    the end. `belief` (H, W) is what all know then, `robots` the fields of the robots, `parts` what
+    the run shows of parts, by name. `finished` is the number of steps since the task was finished.
+    `localisation` is where the robot took itself to be, or each one; None if they knew it.
     """
-    after: ExplorationState = run.state.task
-    world, ground = arrays.world, arrays.ground
-    belief, moving, cropped = after.belief, after.moving_obstacles, after.belief.grid.crop
+    arrays, field, moving = one.map_arrays.crop(), after.belief.information, after.moving_obstacles
+    world, ground, coverage = arrays.world, arrays.ground, one.target_coverage
     return ExplorationRecording(
-        **run.common(period),
-        **robot_fields(robot, start),
+        **run.common(one.period),
+        **robots,
         # `finished` counts from the step that ended the task, that step included.
-        finished_step=run.num_steps - int(after.finished) + 1 if after.finished > 0 else None,
+        finished_step=run.num_steps - finished + 1 if finished > 0 else None,
         given_up_step=run.num_steps if is_given_up else None,
-        target=target,
-        target_coverage=float(target_coverage) if has_coverage_target(target_coverage) else None,
-        targets=np.asarray(targets),
+        target=one.target,
+        target_coverage=float(coverage) if has_coverage_target(coverage) else None,
+        targets=np.asarray(one.targets),
         member_names=member_names,
         world=np.asarray(world.probability),
-        belief=cropped(belief.grid.probability),
+        belief=belief,
         reachable=np.asarray(arrays.reachable),
         origin=np.asarray(world.frame.origin),
         resolution=world.resolution,
-        field_origin=np.asarray(belief.information.frame.origin),
-        field_resolution=belief.information.frame.resolution,
-        initial_coverage=float(before.progress.coverage),
-        initial_entropy=float(before.progress.entropy),
-        initial_unknown=float(before.progress.unknown),
-        goal=None if goal is None else np.asarray(goal),
+        field_origin=np.asarray(field.frame.origin),
+        field_resolution=field.frame.resolution,
+        initial_coverage=float(before.coverage),
+        initial_entropy=float(before.entropy),
+        initial_unknown=float(before.unknown),
+        goal=None if one.goal is None else np.asarray(one.goal),
         elevation=None if ground is None else np.asarray(ground.elevation),
         traversable=None if arrays.traversable is None else np.asarray(arrays.traversable),
         parts=parts,

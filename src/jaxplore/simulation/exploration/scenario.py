@@ -84,6 +84,7 @@ from jaxplore.simulation.exploration.recording import make_recording, part_repor
 from jaxplore.simulation.exploration.state import ExplorationState, Sensed, initial_state
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.robot_fields import robot_fields
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
 
@@ -589,10 +590,25 @@ class ExplorationScenario(Scenario):
         If the move would touch something solid, the robot stops instead, and the step counts as a
         collision.
         """
+        record, truths = self.move(self.robot, state, control, moment, info)
+        state, record = self.follow(state, record, truths, control, moment)
+        is_over = self.is_finished(state) | (state.finished > 0)
+        return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+
+    def move(
+        self,
+        robot: Dynamics,
+        state: ExplorationState,
+        control: ControlVector,
+        moment: Moment,
+        info: Info,
+    ) -> tuple[ExplorationRecord, dict[str, Any]]:
+        """Return the record of a step of a robot by its true model, and the states of the truths of
+        its parts; see `motion.move`."""
         # Moving obstacles move during the step as well, so contact is with those at its end.
         truth = self.true_world(state, moment._replace(time=moment.time + self.control_period))
-        record, truths = move(
-            self.robot,
+        return move(
+            robot,
             state,
             control,
             truth,
@@ -603,15 +619,30 @@ class ExplorationScenario(Scenario):
             stop=moment.stop,
             truths=self.truths,
         )
+
+    def follow(
+        self,
+        state: ExplorationState,
+        record: ExplorationRecord,
+        truths: dict[str, Any],
+        control: ControlVector,
+        moment: Moment,
+        has_room: Flag | None = None,
+    ) -> tuple[ExplorationState, ExplorationRecord]:
+        """Return the state after a step to the state of its record, and the record: the odometry
+        measures the step, and a fault may carry the robot away at its end.
+
+        `has_room` says whether it can be put down where the fault carries it; None if it can.
+        """
         state = self.follow_odometry(state, record.state, moment.step)
         if self.faults is not None and state.landing is not None:
             # After the odometry has measured the step: it does not notice.
             is_carried = self.faults.is_carried(moment.time, self.control_period)
+            is_carried = is_carried if has_room is None else is_carried & has_room
             record = carry(record, self.robot, self.start, state.landing, is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
         state = state.after_step(record.state, control)._replace(motion=motion, truths=truths)
-        is_over = self.is_finished(state) | (state.finished > 0)
-        return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+        return state, record
 
     def follow_odometry(
         self, state: ExplorationState, after: StateVector, step: Count
@@ -663,11 +694,11 @@ class ExplorationScenario(Scenario):
         is_reached: Flag = check.is_reached(pose, state.motion)
         return is_reached
 
-    def is_given_up(self, state: ExplorationState) -> Flag:
+    def is_given_up(self, state: Any) -> Flag:
         """Check whether the exploration is given up, as the class says.
 
         Args:
-            state: the task's state.
+            state: the task's state, of one robot or of a fleet that it is one of.
         """
         if self.goal is not None or self.num_targets > 0:
             return jnp.array(False)
@@ -676,11 +707,12 @@ class ExplorationScenario(Scenario):
         if self.counts_walls:
             # Walls that are seen from far away through gaps grow for ever, a cell at a time.
             since = jnp.maximum(since, state.own.knowledge.idle)
-        return is_judged & (since >= self.give_up_after)
+        is_over: Flag = is_judged & (since >= self.give_up_after)
+        return is_over
 
-    def progress(self, state: ExplorationState) -> tuple[float, str]:
+    def progress(self, state: Any) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
-        return 0.0, f"coverage {float(state.progress.coverage):6.1%}"
+        return 0.0, f"coverage {float(state.coverage):6.1%}"
 
     def for_batches(self) -> "ExplorationScenario":
         """Return the scenario with a perception that is efficient under `jax.vmap`."""
@@ -702,8 +734,11 @@ class ExplorationScenario(Scenario):
 
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
-        stride = self.perception.field_sensor.stride
-        return super().make_frame(step, crop_frame(arrays, self.map_arrays.world, stride))
+        return super().make_frame(step, self.crop_frame(arrays))
+
+    def crop_frame(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the arrays of a frame with the cells that are on the map."""
+        return crop_frame(arrays, self.map_arrays.world, self.perception.field_sensor.stride)
 
     def agent_view(self, view_cells: int | None) -> ExplorationView:
         """Return exploration as an agent sees it."""
@@ -726,19 +761,19 @@ class ExplorationScenario(Scenario):
         run: ChunkedRun[Any, ExplorationRecord, ExplorationFrame],
     ) -> ExplorationRecording:
         """Make the recording of a run."""
-        names = () if controller is None else controller.member_names
-        parts = (self.map_arrays.crop(), self.robot, self.start, self.period)
-        end = (self.goal, self.target, self.target_coverage, self.targets)
         after: ExplorationState = run.state.task
-        reports = part_reports(
-            self.truths, self.perception, after.belief.parts, after.truths, after.belief.grid
-        )
-        is_given_up, place = bool(self.is_given_up(after)), None
-        if after.own.place is not None and after.judged.track is not None:
-            place = after.judged.track.data(after.own.place, after.belief.grid)
+        grid = after.belief.grid
         local = make_recording(
-            *(before, run, *parts, *end, names, reports, place),
-            is_given_up=is_given_up,
+            *(self, run, before.progress, after),
+            belief=grid.crop(grid.probability),
+            robots=robot_fields(self.robot, self.start),
+            parts=part_reports(
+                self.truths, self.perception, after.belief.parts, after.truths, grid
+            ),
+            finished=int(after.finished),
+            is_given_up=bool(self.is_given_up(after)),
+            localisation=after.localisation,
+            member_names=() if controller is None else controller.member_names,
         )
         return local.move(self.datum.offset)
 

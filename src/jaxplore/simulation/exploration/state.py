@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import ControlVector, Count, GridMask, Pose, StateVector
+from jaxplore._types import ControlVector, Count, GridMask, Pose, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.goal_check import Motion
-from jaxplore.report.exploration.data import MapProgress
+from jaxplore.report.exploration.data import LocalisationData, MapProgress
 from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import FITTING, Knowledge, Measurement, RobotState, Sight
 from jaxplore.sensing.base import Sensor
@@ -70,9 +70,20 @@ class ExplorationState(NamedTuple):
         return self.judged.progress
 
     @property
+    def coverage(self) -> Scalar:
+        """Share of the reachable cells that are known to be free."""
+        return self.judged.progress.coverage
+
+    @property
     def is_seen(self) -> Bool[Array, " M"]:
         """Whether each of the M targets has been found."""
         return self.judged.is_seen
+
+    @property
+    def localisation(self) -> LocalisationData | None:
+        """Where the robot was and took itself to be, on the host; None if it knows its pose."""
+        place, track = self.own.place, self.judged.track
+        return None if place is None or track is None else track.data(place, self.belief.grid)
 
     def with_belief(self, belief: Belief) -> "ExplorationState":
         """Return the state with another belief."""

@@ -34,6 +34,11 @@ def check_members(
     for index, each in enumerate(members):
         _check_supported(index, each)
     first = members[0]
+    if len(members) > 1 and first.faults is not None and first.faults.carried_to is not None:
+        raise ValueError(
+            f"faults.carried_to is {np.asarray(first.faults.carried_to).tolist()} for "
+            f"{len(members)} robots; accepted: without it, each is put down at a place of its own"
+        )
     for index, each in enumerate(members[1:], start=1):
         is_same = each.map_arrays.world.shape == first.map_arrays.world.shape and np.array_equal(
             each.map_arrays.world.probability, first.map_arrays.world.probability
@@ -80,10 +85,6 @@ def check_members(
 
 def _check_supported(index: int, one: ExplorationScenario) -> None:
     """Raise a `ValueError` if a fleet does not support what an exploration has."""
-    if one.faults is not None and one.faults.carried_at is not None:
-        raise ValueError(
-            f"faults.carried_at of robots[{index}] is given; accepted in a fleet: none"
-        )
     if one.target == "walls":
         raise ValueError(
             f"target of robots[{index}] is {one.target!r}; accepted in a fleet: 'coverage', 'never'"

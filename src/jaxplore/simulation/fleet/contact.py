@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Scalar
+from jaxplore._types import Pose, Scalar
 from jaxplore.dynamics.formation import Formation
 
 
@@ -68,6 +68,30 @@ def stop_touching(
     )
     final = jnp.where(stopped[:, None], places[0], places[1])
     return Parted(states, stopped, gaps(final, final).min(axis=1))
+
+
+def find_room(
+    landings: Sequence[Pose | None], places: Float[Array, "N 2"], radii: Float[Array, " N"]
+) -> Bool[Array, " N"]:
+    """Return whether each robot can be put down at its landing [m, m, rad] without touching others.
+
+    It touches neither where the others are (N, 2) [m] nor where they are put down at the same time.
+    `radii` (N,) are those of the circles that hold the robots [m]. A robot without a landing (None)
+    stays where it is.
+    """
+    put = jnp.stack(
+        [
+            place if landing is None else landing[:2]
+            for landing, place in zip(landings, places, strict=True)
+        ]
+    )
+    room = radii[:, None] + radii[None, :] + jnp.where(jnp.eye(len(radii)) > 0.0, -jnp.inf, 0.0)
+
+    def is_apart(others: Float[Array, "N 2"]) -> Bool[Array, " N"]:
+        offset = put[:, None] - others[None, :]
+        return (jnp.sqrt(jnp.sum(offset * offset, axis=-1)) >= room).all(axis=1)
+
+    return is_apart(places) & is_apart(put)
 
 
 def predict_positions(

@@ -1,4 +1,4 @@
-"""Frames and the recording of a run of a fleet, from the arrays on the device."""
+"""Frames and the recording of a run by several robots, from the arrays on the device."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,20 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from jaxplore._types import GridValues
+from jaxplore._types import GridValues, StateVector
 from jaxplore.control.base import SampledPlan
 from jaxplore.control.fleet_share import Share
-from jaxplore.dynamics.formation import Formation, extent
-from jaxplore.report.exploration.data import LocalisationData
-from jaxplore.report.fleet.data import FleetFrame, FleetRecord
-from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.dynamics.formation import Formation
+from jaxplore.report.exploration.data import TEAM, ExplorationFrame, ExplorationRecord
+from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.report.exploration.team import TeamReport
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.exploration.finish import has_coverage_target
 from jaxplore.simulation.exploration.frames import part_frames
-from jaxplore.simulation.exploration.recording import part_reports
+from jaxplore.simulation.exploration.recording import make_recording, part_reports
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.fleet.parts import gather_parts
 from jaxplore.simulation.fleet.state import FleetState
+from jaxplore.simulation.robot_fields import fleet_fields
+from jaxplore.simulation.state import Moment
 
 
 def merge_known(maps: Sequence[GridValues]) -> GridValues:
@@ -33,97 +34,79 @@ def merge_known(maps: Sequence[GridValues]) -> GridValues:
 
 
 def fleet_frame(
+    one: ExplorationScenario,
     robot: Formation,
     state: FleetState,
+    moment: Moment,
     share: Share,
     plan: SampledPlan | None,
     links: Bool[Array, "N N"] | None,
-    one: ExplorationScenario,
 ) -> dict[str, Any]:
-    """Return the arrays of a `FleetFrame`, by field; without a plan or links it shows none.
+    """Return the arrays of an `ExplorationFrame`, by field; without a plan or links it shows none.
 
     `one` is the exploration of the first robot.
     """
     number, states = len(robot.robots), robot.split_state(state.robot)
     headings = [one.heading(each) for one, each in zip(robot.robots, states, strict=True)]
-    plans = jnp.zeros((number, 0, 2))
+    plans, nowhere = jnp.zeros((number, 0, 2)), jnp.zeros((0, 2))
     if plan is not None:
         plans = jnp.swapaxes(jax.vmap(robot.positions)(plan.nominal.states), 0, 1)
     maps = share.gather([each.belief.grid.probability for each in state.members])
-    told = share.gather([each.belief.parts for each in state.members])
-    known = gather_parts(one, told)
+    known = gather_parts(one, share.gather([each.belief.parts for each in state.members]))
+    movers = one.true_world(state.members[0], moment).discs
+    heard = jnp.zeros((number, number), bool) if links is None else links
     return {
-        "positions": robot.positions(state.robot),
-        "headings": jnp.stack(headings),
+        "state": state.robot,
+        "heading": jnp.stack(headings),
         "probability": jnp.round(255.0 * merge_known(maps)).astype(jnp.uint8),
-        "plans": plans,
-        "links": jnp.zeros((number, number), bool) if links is None else links,
+        "information": jnp.zeros((0, 0)),
+        "scan": nowhere,
+        "samples": jnp.zeros((0, 1, 2)),
+        "weights": jnp.zeros(0),
+        "plan": plans,
+        "reference": nowhere,
+        "movers": nowhere if movers is None else movers[:, :2],
+        "terms": {},
+        "sample_terms": {},
+        "tracks": jnp.zeros((0, 2, 2)),
         "is_found": state.is_seen,
-        "parts": part_frames(one.truths, known),
+        "parts": {**part_frames(one.truths, known), TEAM: {"links": heard}},
     }
 
 
-def make_recording(
-    scenarios: Sequence[ExplorationScenario],
+def make_fleet_recording(
+    one: ExplorationScenario,
     share: Share,
     robot: Formation,
-    start: np.ndarray,
+    start: StateVector,
     before: FleetState,
-    run: ChunkedRun[Any, FleetRecord, FleetFrame],
-    period: float,
+    run: ChunkedRun[Any, ExplorationRecord, ExplorationFrame],
     coordination: str,
     *,
     is_given_up: bool,
-) -> FleetRecording:
-    """Make the recording of a run; `before` is the state before the first step."""
+) -> ExplorationRecording:
+    """Make the recording of a run; `before` is the state before the first step, `one` the
+    exploration of the first robot."""
     after: FleetState = run.state.task
-    arrays = scenarios[0].map_arrays.crop()
-    grid, first = after.members[0].belief.grid, scenarios[0]
-    own = [grid.crop(each.belief.grid.probability) for each in after.members]
-    maps = share.gather_on_host(own)
+    grid = after.members[0].belief.grid
+    maps = share.gather_on_host([grid.crop(each.belief.grid.probability) for each in after.members])
     rows = _gather_on_host(share, [each.belief.parts for each in after.members])
-    known = gather_parts(first, rows)
-    states = [dict(each.truths) for each in after.members]
-    stacked = jax.tree.map(lambda *each: jnp.stack(each), *_gather_on_host(share, states))
-    reports = part_reports(first.truths, first.perception, known, stacked, grid)
-    return FleetRecording(
-        **run.common(period),
-        world=np.asarray(arrays.world.probability),
+    states = _gather_on_host(share, [dict(each.truths) for each in after.members])
+    stacked = jax.tree.map(lambda *each: jnp.stack(each), *states)
+    known = gather_parts(one, rows)
+    places = [each.localisation for each in after.members]
+    found = tuple(each for each in places if each is not None)
+    team = TeamReport(coordination, np.round(255.0 * np.stack(maps)).astype(np.uint8))
+    return make_recording(
+        *(one, run, before.members[0].progress._replace(coverage=before.coverage)),
+        after.members[0],
         belief=np.asarray(merge_known([jnp.asarray(each) for each in maps])),
-        beliefs=np.round(255.0 * np.stack(maps)).astype(np.uint8),
-        reachable=np.asarray(arrays.reachable),
-        origin=np.asarray(arrays.world.frame.origin),
-        resolution=arrays.world.resolution,
-        start=start,
-        state_names=robot.state_names,
-        initial_coverage=float(before.coverage),
-        target_coverage=(
-            float(first.target_coverage) if has_coverage_target(first.target_coverage) else None
-        ),
-        # `finished` counts from the step that ended the task, that step included.
-        finished_step=run.num_steps - int(after.finished) + 1 if after.finished > 0 else None,
-        given_up_step=run.num_steps if is_given_up else None,
-        radii=np.array([extent(each.robot.footprint) for each in scenarios]),
-        coordination=coordination,
-        targets=np.asarray(first.targets),
-        traversable=None if arrays.traversable is None else np.asarray(arrays.traversable),
-        elevation=None if arrays.ground is None else np.asarray(arrays.ground.elevation),
-        parts=reports,
-        initial_unknown=float(before.members[0].progress.unknown),
-        localisation=_localisation_data(after),
-        goal=None if first.goal is None else np.asarray(first.goal),
+        robots=fleet_fields(robot, start),
+        parts={**part_reports(one.truths, one.perception, known, stacked, grid), TEAM: team},
+        finished=int(after.finished),
+        is_given_up=is_given_up,
+        localisation=found or None,
     )
-
-
-def _localisation_data(after: FleetState) -> tuple[LocalisationData, ...] | None:
-    """Return where each robot took itself to be; None if they knew their poses."""
-    found = []
-    for each in after.members:
-        place, track = each.own.place, each.judged.track
-        if place is None or track is None:
-            return None
-        found.append(track.data(place, each.belief.grid))
-    return tuple(found)
 
 
 def _gather_on_host(share: Share, own: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

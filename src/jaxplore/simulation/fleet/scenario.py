@@ -21,14 +21,14 @@ from jaxplore.control.fleet_controller import FleetBelief, robot_keys
 from jaxplore.control.fleet_share import Share, check_share
 from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.dynamics.formation import Formation, extent
-from jaxplore.dynamics.goal_check import Motion
-from jaxplore.report.fleet.data import FleetFrame, FleetRecord, move_records
-from jaxplore.report.fleet.metrics import FleetMetrics
-from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.report.exploration.data import TEAM, ExplorationFrame, ExplorationRecord
+from jaxplore.report.exploration.metrics import ExplorationMetrics
+from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.report.exploration.team import TeamRecord
+from jaxplore.report.recording import Frame
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.disturbances import Disturbances
-from jaxplore.simulation.exploration.finish import NEVER, TARGETS
 from jaxplore.simulation.exploration.part_truth import PartTruth
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -37,12 +37,12 @@ from jaxplore.simulation.fleet.assignment import with_assignments
 from jaxplore.simulation.fleet.checks import check_members, identities
 from jaxplore.simulation.fleet.closing import close_loops
 from jaxplore.simulation.fleet.communication import Talk, known_states
-from jaxplore.simulation.fleet.contact import stop_touching
+from jaxplore.simulation.fleet.contact import find_room, stop_touching
 from jaxplore.simulation.fleet.disturbances import FleetDisturbances
 from jaxplore.simulation.fleet.driver import FleetDriver
-from jaxplore.simulation.fleet.motion import moves, stack_errors, stack_parts
 from jaxplore.simulation.fleet.radio import Radio
-from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
+from jaxplore.simulation.fleet.recording import fleet_frame, make_fleet_recording
+from jaxplore.simulation.fleet.records import stack_records
 from jaxplore.simulation.fleet.senses import TeamSenses
 from jaxplore.simulation.fleet.starts import check_starts
 from jaxplore.simulation.fleet.state import FleetState
@@ -102,8 +102,8 @@ class Fleet(Scenario):
             close that robots touch; an exchange rate that is no whole fraction.
     """
 
-    frame_type = FleetFrame
-    metrics_type = FleetMetrics
+    frame_type = ExplorationFrame
+    metrics_type = ExplorationMetrics
 
     explorations: Alike[ExplorationScenario]
     robot: Formation
@@ -187,7 +187,12 @@ class Fleet(Scenario):
         """
         check_share(share, self.explorations.kinds, "robots")
         first = self.members[0]
-        given: dict[str, Any] = {"localisation": first.localisation, "goal": first.goal}
+        carried = None if first.faults is None else first.faults.carried_at
+        given: dict[str, Any] = {
+            "localisation": first.localisation,
+            "goal": first.goal,
+            "faults.carried_at": carried,
+        }
         given |= {each.name: each for each in first.truths if each.is_moving}
         for name, one in given.items():
             if one is not None:
@@ -198,8 +203,8 @@ class Fleet(Scenario):
 
     @property
     def metric_groups(self) -> tuple[str, ...]:
-        """Names of the truths of parts, whose metrics are groups of their own."""
-        return self.members[0].metric_groups
+        """Names of the truths of parts, and of what the robots share: groups of metrics."""
+        return (*self.members[0].metric_groups, TEAM)
 
     @property
     def _judging(self) -> tuple[PartTruth, ...]:
@@ -219,7 +224,7 @@ class Fleet(Scenario):
     @property
     def objective(self) -> str:
         """Default objective: that of one robot, plus contacts."""
-        return f"{self.members[0].objective} + 100*contacts"
+        return f"{self.members[0].objective} + 100*{TEAM}.contacts"
 
     @property
     def steps_per_revision(self) -> int | None:
@@ -359,7 +364,7 @@ class Fleet(Scenario):
 
     def advance(
         self, state: FleetState, control: ControlVector, moment: Moment, info: Info
-    ) -> tuple[FleetState, FleetRecord]:
+    ) -> tuple[FleetState, ExplorationRecord]:
         """Move the robots and record the step.
 
         A robot that would touch something solid or another robot stops instead, and the step counts
@@ -367,9 +372,7 @@ class Fleet(Scenario):
         """
         before = self.robot.split_state(state.robot)
         controls = self.robot.split_control(control)
-        pairs = tuple(zip(self.members, self.robot.robots, strict=True))
-        found = moves(pairs, self.share, state.members, before, controls, moment, info)
-        records, truths = zip(*found, strict=True)
+        records, truths = self._move(state, before, controls, moment, info)
         moved = [each.state for each in records]
         clearance = jnp.stack([each.clearance for each in records])
         contact, team = jnp.zeros(self.num_robots, bool), state.team
@@ -380,48 +383,86 @@ class Fleet(Scenario):
             moved, contact = list(apart.states), apart.is_contact
             clearance = jnp.minimum(clearance, apart.gap)
             sent, links, coverages = team.sent, team.links, team.coverages
-        own = map(self.share.select, (self.members, moved, controls, truths))
-        members = tuple(
-            one.follow_odometry(each, robot, moment.step)
-            .after_step(robot, given)
-            ._replace(
-                truths=after,
-                motion=Motion.between(one.robot, each.robot, robot, self.control_period),
-            )
-            for each, one, robot, given, after in zip(state.members, *own, strict=True)
-        )
-        joint, here = jnp.concatenate(moved), state.robot
-        state = state._replace(robot=joint, members=members)
+        records = [each._replace(state=robot) for each, robot in zip(records, moved, strict=True)]
+        here, driven = state.robot, jnp.concatenate(moved)
+        state, records = self._follow(state, records, truths, controls, moment)
+        joint = jnp.concatenate([each.state for each in records])
+        state = state._replace(robot=joint)
         if team is not None:
             known = self.measure_state(state)
             if self._varies:
                 # Robots that measure with noise know no more of the step than their models do.
                 known = self._model.step(known_states(moment), control, self.control_period)
-            team = self._talk.update_plans(team, here, joint, known, moment.step, info)
+            team = self._talk.update_plans(team, here, driven, known, moment.step, info)
             state = state._replace(team=team)
         is_over = self.is_finished(state) | (state.finished > 0)
-        record = FleetRecord(
+        together = {each.name: each.record(state.judged[each.name]) for each in self._judging}
+        together[TEAM] = TeamRecord(coverages, contact, sent, links)
+        record = stack_records(records, together)._replace(
             state=joint,
             control=control,
             coverage=state.coverage,
-            coverages=coverages,
             clearance=clearance,
-            is_collision=jnp.stack([each.is_collision for each in records]),
-            is_untraversable=jnp.stack([each.is_untraversable for each in records]),
-            is_contact=contact,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
-            sent=sent,
-            links=links,
-            targets_seen=self._count_seen(state),
-            parts=stack_parts(
-                records,
-                {each.name: each.record(state.judged[each.name]) for each in self._judging},
-            ),
+            is_faulty=moment.is_faulty,
+            targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
             stop=moment.stop,
-            **stack_errors(records),
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+
+    def _move(
+        self,
+        state: FleetState,
+        before: Sequence[Array],
+        controls: Sequence[Array],
+        moment: Moment,
+        info: Info,
+    ) -> tuple[list[ExplorationRecord], list[dict[str, Any]]]:
+        """Return the record of each robot among what is solid, and the states of its truths.
+
+        Every process moves all robots. Of one that another process computes, nothing but the
+        record's state, clearance and collision is meant.
+        """
+        here = dict(zip(self.share.mine, state.members, strict=True))
+        given = zip(self.members, self.robot.robots, before, controls, strict=True)
+        found = [
+            # What is read of another state than the robot's is the same for equal robots.
+            one.move(
+                true_robot,
+                here.get(index, state.members[0])._replace(robot=robot),
+                control,
+                moment._replace(guard=None),
+                info,
+            )
+            for index, (one, true_robot, robot, control) in enumerate(given)
+        ]
+        return [record for record, _ in found], [truths for _, truths in found]
+
+    def _follow(
+        self,
+        state: FleetState,
+        records: Sequence[ExplorationRecord],
+        truths: Sequence[dict[str, Any]],
+        controls: Sequence[Array],
+        moment: Moment,
+    ) -> tuple[FleetState, list[ExplorationRecord]]:
+        """Return the state with what the robots of this process know after the step of their
+        records, and the records of all."""
+        rooms: list[Flag | None] = [None] * self.num_robots
+        landings = [each.landing for each in state.members]
+        if self.num_robots > 1 and any(each is not None for each in landings):
+            places = self._model.positions(jnp.concatenate([each.state for each in records]))
+            rooms = list(find_room(landings, places, self.radii))
+        members, followed = [], list(records)
+        own = self.share.select(list(zip(self.members, truths, controls, rooms, strict=True)))
+        for index, each, (one, after, control, room) in zip(
+            self.share.mine, state.members, own, strict=True
+        ):
+            given = records[index], after, control, moment, room
+            member, followed[index] = one.follow(each, *given)
+            members.append(member)
+        return state._replace(members=tuple(members)), followed
 
     def is_unfinished(self, state: FleetState) -> Flag:
         """Check whether the exploration is neither finished nor given up."""
@@ -454,19 +495,11 @@ class Fleet(Scenario):
 
     def is_given_up(self, state: FleetState) -> Flag:
         """Check whether the coverage has not risen for long, see `ExplorationScenario`."""
-        if state.is_seen.size or self.members[0].goal is not None:
-            return jnp.array(False)
-        first = self.members[0]
-        is_judged = (state.finished == 0) & (first.ends_by != TARGETS.index(NEVER))
-        return is_judged & (state.gain.since >= first.give_up_after)
-
-    def _count_seen(self, state: FleetState) -> Count | None:
-        """Return the number of targets that some robot has seen; None without targets."""
-        return jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None
+        return self.members[0].is_given_up(state)
 
     def progress(self, state: FleetState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
-        return 0.0, f"coverage {float(state.coverage):6.1%}"
+        return self.members[0].progress(state)
 
     def for_batches(self) -> "Fleet":
         """Return the scenario with perceptions that are efficient under `jax.vmap`."""
@@ -501,39 +534,24 @@ class Fleet(Scenario):
         """Return what the robots know together, their poses, plans and links."""
         plan = None if inspect is None else inspect(moment.observed, self._belief(state))
         links = None if state.team is None else self._talk.links(state, moment)
-        return fleet_frame(self.robot, state, self.share, plan, links, self.members[0])
+        return fleet_frame(self.members[0], self.robot, state, moment, self.share, plan, links)
 
-    def make_frame(self, step: int, arrays: Any) -> FleetFrame:
+    def make_frame(self, step: int, arrays: Any) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
-        rows, columns = self.members[0].world.shape
-        cropped = {**arrays, "probability": arrays["probability"][:rows, :columns]}
-        made = super().make_frame(step, cropped)
-        assert isinstance(made, FleetFrame)
-        return made
+        return super().make_frame(step, self.members[0].crop_frame(arrays))
 
     def recording(
         self,
         controller: Controller | None,
         before: FleetState,
-        run: ChunkedRun[Any, FleetRecord, FleetFrame],
-    ) -> FleetRecording:
+        run: ChunkedRun[Any, ExplorationRecord, ExplorationFrame],
+    ) -> ExplorationRecording:
         """Make the recording of a run."""
-        local = make_recording(
-            self.members,
-            self.share,
-            self.robot,
-            np.asarray(self.start),
-            before,
-            run,
-            self.period,
-            self.coordination,
+        local = make_fleet_recording(
+            *(self.members[0], self.share, self.robot, self.start, before, run, self.coordination),
             is_given_up=bool(self.is_given_up(run.state.task)),
         )
         return local.move(self.datum.offset)
-
-    def records_on_map(self, records: Any) -> Any:
-        """Return records in NumPy, with the states of all robots in the map's coordinates."""
-        return move_records(records, self.datum.offset, self.robot.state_names)
 
     @property
     def _varies(self) -> bool:

@@ -6,14 +6,12 @@ from typing import Any
 
 from jaxplore._files import YAML_SUFFIXES
 from jaxplore.report.exploration.data import ExplorationData
-from jaxplore.report.fleet.data import FleetData
 from jaxplore.settings.fleet import FLEET
 from jaxplore.settings.sections import read_settings
 from jaxplore.tasks.exploration.build import build_exploration, choose_architectures, with_start
-from jaxplore.tasks.exploration.fleet_topics import FleetContent
 from jaxplore.tasks.exploration.memory import estimate_exploration
 from jaxplore.tasks.exploration.on_maps import ON_ROS_MAPS
-from jaxplore.tasks.exploration.scene import ExplorationScene, FleetScene
+from jaxplore.tasks.exploration.scene import ExplorationScene
 from jaxplore.tasks.exploration.settings import (
     OFFICE,
     SCENARIOS,
@@ -54,8 +52,5 @@ EXPLORATION = Kind(
     architectures=choose_architectures,
     with_start=with_start,
     on_maps=ON_ROS_MAPS,
-    shown=(
-        Shown(ExplorationData, ExplorationScene, ExplorationContent, is_relative=True),
-        Shown(FleetData, FleetScene, FleetContent, is_relative=True),
-    ),
+    shown=(Shown(ExplorationData, ExplorationScene, ExplorationContent, is_relative=True),),
 )
