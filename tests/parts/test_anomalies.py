@@ -25,7 +25,7 @@ SHAPE, RESOLUTION = (40, 60), 0.1  # 6 m x 4 m
 SENSOR = Lidar(90, 4.0, range_noise=0.05)
 ZONE = (4.0, 0.5, 5.5, 1.5)
 BLOCK = (slice(24, 30), slice(30, 36))  # x from 3.0 to 3.6 m, y from 2.4 to 3.0 m
-TEST = AnomalyTest(false_alarms=1e-3, near=3.0, baseline=0.5, looks=10, forbidden=[ZONE])
+TEST = AnomalyTest(false_alarms=1e-3, near=3.0, baseline=0.5, looks=10, stay=0.0, forbidden=[ZONE])
 
 
 def hall(*blocks) -> OccupancyGrid:
@@ -140,7 +140,7 @@ def gathered(test, known, truth, poses, person, keys) -> Sums:
 
     def one(state, pose, key):
         scan = FEW.scan(truth, pose, key=key, movers=person[None])
-        after = test.add_evidence(state, FEW, known, scan, pose)
+        after = test.add_evidence(state, *test.evidence(state, FEW, known, scan, pose))
         sums = jnp.stack([after.change, after.person])[..., None]
         return after, Sums((sums >= LEVELS).sum(axis=(0, 1, 2)), after.has_alarm)
 
@@ -153,11 +153,15 @@ def gathered(test, known, truth, poses, person, keys) -> Sums:
 
 
 @jax.jit
-def watched(test, truth, known, poses, person, key) -> Anomalies:
-    """Scan from one pose after another, with a person, a disc (x, y, radius), in the hall."""
+def watched(test, truths, known, poses, person, key) -> Anomalies:
+    """Scan from one pose after another, with a person, a disc (x, y, radius), in the hall.
+
+    `truths` (T, H, W) are the true maps at the scans.
+    """
 
     def step(state, inputs):
-        index, pose = inputs
+        index, pose, probability = inputs
+        truth = known.with_probability(probability)
         now = jax.random.fold_in(key, index)
         scan = SENSOR.scan(truth, pose, key=now, movers=person[None])
         seen = SENSOR.sight(known, scan, pose).is_seen
@@ -165,7 +169,11 @@ def watched(test, truth, known, poses, person, key) -> Anomalies:
         observation = Observation(SENSOR, known, scan, seen, pose, jnp.zeros(()), time)
         return test.observe(state, observation), None
 
-    return jax.lax.scan(step, test.init(known), (jnp.arange(len(poses)), poses))[0]
+    return jax.lax.scan(step, test.init(known), (jnp.arange(len(poses)), poses, truths))[0]
+
+
+def always(grid: OccupancyGrid, scans: int) -> np.ndarray:
+    return np.repeat(np.asarray(grid.probability)[None], scans, axis=0)
 
 
 WALK = jnp.array([2.5, 3.2, 0.25])
@@ -268,8 +276,8 @@ def test_what_differs_is_suspected_looked_at_again_and_reported(kind: int, perso
     truth = filled if kind == APPEARED else empty
     known = filled if kind == GONE else empty
     person = jnp.array([4.7, 1.0, 0.25]) if person is None else person
-    done = watched(TEST, truth, known, TRACK, person, jax.random.key(3))
-    place, kinds, suspected, reported, seen_from, _ = of(done)
+    done = watched(TEST, always(truth, len(TRACK)), known, TRACK, person, jax.random.key(3))
+    place, kinds, suspected, reported, seen_from, *_ = of(done)
     assert kinds.tolist() == [kind] * len(kinds)
     assert 1 <= len(kinds) <= 2
     box = (4.45, 0.75, 4.95, 1.25) if kind == PERSON else (3.0, 2.4, 3.6, 3.0)
@@ -287,7 +295,7 @@ def test_what_differs_is_suspected_looked_at_again_and_reported(kind: int, perso
 def test_as_known_there_is_nothing_to_report() -> None:
     known = hall(BLOCK)
     for person in (AWAY, WALK):
-        done = watched(TEST, known, known, TRACK, person, jax.random.key(4))
+        done = watched(TEST, always(known, len(TRACK)), known, TRACK, person, jax.random.key(4))
         assert not (np.asarray(done.reports.kind) > 0).any()
         assert int(done.num_cleared) == 0
 
@@ -305,8 +313,9 @@ def test_a_suspicion_without_confirmation_is_dropped() -> None:
     state = TEST.init(hall())
     place = jnp.array([3.0, 2.0])
     begin = jnp.array([1.0, 1.2, 0.0])
+    # Nobody looks into the corner of the wall, so nothing there can leave.
     reports = state.reports.open_suspicion(
-        jnp.array(True), place, jnp.int32(APPEARED), jnp.zeros(()), begin
+        jnp.array(True), place, jnp.full(2, 0.05), jnp.int32(APPEARED), jnp.zeros(()), begin
     )
     state = dataclasses.replace(state, reports=reports)
 
@@ -325,12 +334,57 @@ def test_a_suspicion_without_confirmation_is_dropped() -> None:
     assert int(late.num_cleared) == 2
 
 
+def test_who_passes_untracked_is_no_anomaly_and_what_stands_is() -> None:
+    poses = rows_of([(1.0 + 0.03 * k, 1.2, 0.0) for k in range(60)])
+    y, x = (np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5) * RESOLUTION
+    empty = always(hall(), len(poses))
+    passes, stands = empty.copy(), empty.copy()
+    for k in range(len(poses)):
+        passes[k][np.hypot(x - 1.2 - 0.06 * k, y - 2.6) <= 0.3] = 0.99
+        stands[k][np.hypot(x - 2.4, y - 2.6) <= 0.3] = 0.99
+    test = eqx.tree_at(lambda each: each.stay, TEST, jnp.float32(1.0))
+    for seed in range(3):
+        key = jax.random.key(seed)
+        there = watched(test, stands, hall(), poses, AWAY, key)
+        assert np.isfinite(np.asarray(there.reports.reported)).any()
+        assert float(there.reports.absent.max()) < float(there.threshold)
+        gone = watched(test, passes, hall(), poses, AWAY, key)
+        assert not np.isfinite(np.asarray(gone.reports.reported)).any()
+        assert int(gone.num_cleared) > 0
+
+
+def test_absence_is_the_test_turned_round() -> None:
+    rng = np.random.default_rng(0)
+    reports = Reports.none()._replace(spot=jnp.asarray(rng.uniform(0.0, 6.0, (MAX_REPORTS, 2))))
+    expected = np.zeros(MAX_REPORTS)
+    for _ in range(4):
+        evidence = rng.normal(-6.0, 3.0, SHAPE).astype(np.float32)
+        evidence[rng.uniform(size=SHAPE) < 0.5] = 0.0
+        evidence[:20, :20] = 0.0
+        reports = reports.add_absence(hall(), jnp.asarray(evidence))
+        for row, (across, along) in enumerate(np.asarray(reports.spot)):
+            i = min(int(along / RESOLUTION), SHAPE[0] - 1)
+            j = min(int(across / RESOLUTION), SHAPE[1] - 1)
+            looked = [
+                float(evidence[a, b])
+                for a in range(max(i - 1, 0), min(i + 2, SHAPE[0]))
+                for b in range(max(j - 1, 0), min(j + 2, SHAPE[1]))
+                if evidence[a, b] != 0.0
+            ]
+            if looked and along < SHAPE[0] * RESOLUTION:
+                expected[row] = max(0.0, expected[row] - max(looked))
+    inside = np.asarray(reports.spot)[:, 1] < SHAPE[0] * RESOLUTION
+    assert inside.sum() > 1
+    np.testing.assert_allclose(np.asarray(reports.absent)[inside], expected[inside], atol=1e-4)
+    assert (expected > 0.0).any()
+
+
 def test_a_full_list_takes_no_more() -> None:
     reports, pose = Reports.none(), jnp.zeros(3)
     for number in range(MAX_REPORTS + 2):
         spot = jnp.full(2, jnp.float32(number))
         reports = reports.open_suspicion(
-            jnp.array(True), spot, jnp.int32(GONE), jnp.zeros(()), pose
+            jnp.array(True), spot, spot, jnp.int32(GONE), jnp.zeros(()), pose
         )
     np.testing.assert_array_equal(reports.place[:, 0], np.arange(MAX_REPORTS))
 
@@ -347,7 +401,7 @@ def test_information_leads_to_where_a_second_look_is_possible() -> None:
     np.testing.assert_array_equal(same.cumulative, field.cumulative)
     place, pose = jnp.array([4.5, 1.0]), jnp.array([4.5, 3.5, 0.0])
     reports = state.reports.open_suspicion(
-        jnp.array(True), place, jnp.int32(GONE), jnp.ones(()), pose
+        jnp.array(True), place, place, jnp.int32(GONE), jnp.zeros(()), pose
     )
     state = dataclasses.replace(state, reports=reports)
     led = attended(state, field, known, SENSOR)

@@ -29,6 +29,8 @@ class Reports(NamedTuple):
         reported: (K,) time of the report [s]; infinite until a second look has confirmed it.
         seen_from: (K, 2) position of the robot at the suspicion [m].
         looks: (K,) number of scans of the second look.
+        spot: (K, 2) centre of the cell with the greatest evidence at the suspicion [m].
+        absent: (K,) evidence that this cell is again as the map says [nat].
     """
 
     place: Float[Array, "K 2"]
@@ -37,6 +39,8 @@ class Reports(NamedTuple):
     reported: Float[Array, " K"]
     seen_from: Float[Array, "K 2"]
     looks: Int[Array, " K"]
+    spot: Float[Array, "K 2"]
+    absent: Float[Array, " K"]
 
     @classmethod
     def none(cls) -> "Reports":
@@ -44,7 +48,7 @@ class Reports(NamedTuple):
         count = MAX_REPORTS
         nowhere, never = jnp.zeros((count, 2)), jnp.full(count, jnp.inf)
         zeros = jnp.zeros(count, jnp.int32)
-        return cls(nowhere, zeros, never, never, nowhere, zeros)
+        return cls(nowhere, zeros, never, never, nowhere, zeros, nowhere, jnp.zeros(count))
 
     @property
     def is_open(self) -> Bool[Array, " K"]:
@@ -56,7 +60,7 @@ class Reports(NamedTuple):
         return jax.vmap(square_distance, (None, 0))(centres, self.place)
 
     def open_suspicion(
-        self, is_new: Flag, place: Position, kind: Array, time: Scalar, pose: Pose
+        self, is_new: Flag, place: Position, spot: Position, kind: Array, time: Scalar, pose: Pose
     ) -> "Reports":
         """Return the list with one more suspicion if `is_new`; a full list stays unchanged."""
         row = jnp.argmin(self.kind)
@@ -67,7 +71,30 @@ class Reports(NamedTuple):
             suspected=jnp.where(is_put, time, self.suspected),
             seen_from=jnp.where(is_put[:, None], pose[:2], self.seen_from),
             looks=jnp.where(is_put, 0, self.looks),
+            spot=jnp.where(is_put[:, None], spot, self.spot),
+            absent=jnp.where(is_put, 0.0, self.absent),
         )
+
+    def add_absence(self, grid: OccupancyGrid, evidence: GridValues) -> "Reports":
+        """Return the list with the evidence of a scan that what was suspected has left.
+
+        It is the test of a change turned round: with w the evidence of a change in a cell [nat],
+
+            A <- max(0, A - max over the cells of the spot that beams looked into of w)
+
+        The cells of the spot are its own and the eight around it, as noise may have put the
+        greatest evidence beside the surface. As long as one of them differs, A >= h has at most the
+        probability exp(-h) at any scan.
+        """
+        height, width = grid.shape
+        steps = jnp.arange(-1, 2)
+        row, column = jnp.moveaxis(grid.frame.to_cell(self.spot), -1, 0)
+        rows = jnp.clip(row[:, None, None] + steps[:, None], 0, height - 1)
+        columns = jnp.clip(column[:, None, None] + steps, 0, width - 1)
+        found = evidence[rows, columns]
+        best = jnp.where(found != 0.0, found, -jnp.inf).max(axis=(1, 2))
+        more = jnp.where(jnp.isfinite(best), -best, 0.0)
+        return self._replace(absent=jnp.maximum(0.0, self.absent + more))
 
     def record_look(
         self, is_sighted: Bool[Array, " K"], is_confirmed: Bool[Array, " K"], time: Scalar
@@ -139,10 +166,26 @@ class Channel(NamedTuple):
         """Return which rows of a list (K,) with these kinds are of this sort."""
         return (kind > 0) & ((kind == PERSON) == self.is_people)
 
+    def wait(
+        self,
+        former: GridValues,
+        is_waiting: Bool[Array, " K"],
+        kind: Int[Array, " K"],
+        around: Bool[Array, "K H W"],
+    ) -> "Channel":
+        """Return the channel with `former` evidence around its suspicions that wait for a look.
+
+        `is_waiting` are rows of a list with these kinds, and `around` the cells around each. A
+        suspicion of the other sort does not keep a person from being found, nor a thing.
+        """
+        waits = (around & (is_waiting & self.owns(kind))[:, None, None]).any(axis=0)
+        return self._replace(evidence=jnp.where(waits, former, self.evidence))
+
     def peak(
         self, threshold: Scalar, is_closed: GridMask, centres: Float[Array, "H W 2"], radius: Scalar
-    ) -> tuple[Flag, Position, Array]:
-        """Return whether a cell has crossed the threshold [nat], and the alarm's place and kind.
+    ) -> tuple[Flag, Position, Position, Array]:
+        """Return whether a cell has crossed the threshold [nat], and the place of the alarm, its
+        spot, the cell with the greatest evidence, and its kind.
 
         The place is the mean of the cells that have crossed it, with the same kind, within `radius`
         [m] of the greatest evidence. The cells `is_closed` raise no alarm.
@@ -155,4 +198,4 @@ class Channel(NamedTuple):
         near = near & crossed & (self.kinds == kind)
         weight = near.astype(jnp.float32)
         place = jnp.einsum("hw,hwc->c", weight, centres) / jnp.maximum(jnp.sum(weight), 1.0)
-        return crossed.any(), place, kind
+        return crossed.any(), place, centres[row, column], kind

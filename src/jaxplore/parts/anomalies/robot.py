@@ -100,8 +100,12 @@ class AnomalyTest(Part):
     The first alarm is a *suspicion*. The robot goes for a second look, `attention` being the share
     by which information elsewhere counts less. The evidence around the place starts anew and grows
     only in scans from at most `near` away, and at least `baseline` from where the suspicion arose.
-    If it crosses the threshold again, the anomaly is *reported*. After `looks` such scans or
-    `expiry`, the suspicion is dropped.
+    If it crosses the threshold again, at least `stay` after the suspicion, the anomaly is
+    *reported*. After `looks` such scans or `expiry`, the suspicion is dropped.
+
+    Somebody who walks and is not tracked fills cells for a second, and others near them in the
+    next. Therefore a suspicion is also dropped when its own cell is as known again, by the same
+    test turned round (`Reports.add_absence`). A person who was where nobody may be may walk on.
 
     Sources: Wald, "Sequential tests of statistical hypotheses", Annals of Mathematical Statistics
     1945; Page, "Continuous inspection schemes", Biometrika 1954; Ville, "Etude critique de la
@@ -113,6 +117,8 @@ class AnomalyTest(Part):
         near: greatest distance of the second look [m].
         baseline: least distance between the first and the second look [m].
         looks: number of scans of a second look.
+        stay: least time between a suspicion and its report, but of a person [s]: what stands there
+            for less may have been somebody who passed.
         expiry: time after which a suspicion without a second look is dropped [s].
         attention: share of the information elsewhere that an open suspicion takes, in [0, 1).
         radius: distance within which alarms of a sort belong to one anomaly [m].
@@ -132,6 +138,7 @@ class AnomalyTest(Part):
     near: Scalar
     baseline: Scalar
     looks: Array
+    stay: Scalar
     expiry: Scalar
     attention: Scalar
     radius: Scalar
@@ -146,6 +153,7 @@ class AnomalyTest(Part):
         near: ArrayLike = 5.0,
         baseline: ArrayLike = 1.0,
         looks: int = 20,
+        stay: ArrayLike = 2.0,
         expiry: ArrayLike = 60.0,
         attention: ArrayLike = 0.9,
         radius: ArrayLike = 1.5,
@@ -159,6 +167,7 @@ class AnomalyTest(Part):
         self.looks = on_device(
             np.asarray(_checks.positive_int("looks", looks, at_most=MOST_LOOKS), np.int32)
         )
+        self.stay = _checks.scalar("stay", stay, at_least=0.0)
         self.expiry = _checks.scalar("expiry", expiry, above=0.0)
         self.attention = _checks.scalar("attention", attention, at_least=0.0, below=1.0)
         self.radius = _checks.scalar("radius", radius, above=0.0)
@@ -215,29 +224,25 @@ class AnomalyTest(Part):
         state, (sensor, grid, scan, is_seen, pose, elapsed, time, others) = own, observation
         time = state.time + elapsed if time is None else time
         is_mate = find_mate_beams(others, sensor, scan, pose)
-        gathered = self.add_evidence(state, sensor, grid, scan, pose, is_mate)
+        change, person = self.evidence(state, sensor, grid, scan, pose, is_mate)
+        gathered = self.add_evidence(state, change, person)
         # Most scans raise no alarm, and nothing waits for a second look.
         is_quiet = ~state.reports.is_open.any() & ~gathered.has_alarm
         after: Anomalies = jax.lax.cond(
             is_quiet,
             lambda _, same: same,
-            lambda before, same: self._update_reports(before, same, grid, is_seen, pose, time),
+            lambda before, same: self._update_reports(
+                before, same, change, grid, is_seen, pose, time
+            ),
             state,
             gathered,
         )
         return dataclasses.replace(after, time=time)
 
     def add_evidence(
-        self,
-        state: Anomalies,
-        sensor: Sensor,
-        grid: OccupancyGrid,
-        scan: Scan,
-        pose: Pose,
-        is_left_out: Bool[Array, " B"] | None = None,
+        self, state: Anomalies, change: GridValues, person: GridValues | None
     ) -> Anomalies:
-        """Return the state with the evidence of a scan, and the same reports; see `evidence`."""
-        change, person = self.evidence(state, sensor, grid, scan, pose, is_left_out)
+        """Return the state with the `evidence` of a scan, and the same reports."""
 
         def accumulate(before: GridValues, more: GridValues) -> GridValues:
             grown = jnp.clip(before + more, 0.0, 2.0 * state.threshold)
@@ -252,6 +257,7 @@ class AnomalyTest(Part):
         self,
         before: Anomalies,
         state: Anomalies,
+        change: GridValues,
         grid: OccupancyGrid,
         is_seen: GridMask,
         pose: Pose,
@@ -259,43 +265,55 @@ class AnomalyTest(Part):
     ) -> Anomalies:
         """Return the state with the suspicions and reports that follow from its evidence.
 
-        `state` has the evidence of the scan, and `before` is the state before it. `is_seen` are the
-        cells that the scan observed. `grid` has the frame of the map.
+        `state` has the evidence of the scan, and `before` is the state before it. `change` is the
+        evidence of the scan alone, and `is_seen` are the cells that it observed. `grid` has the
+        frame of the map.
         """
-        centres, reports = cell_centres(grid), state.reports
+        centres, reports = cell_centres(grid), state.reports.add_absence(grid, change)
         away = reports.away(centres)
         around = away <= self.radius**2
         # The second look counts from near and from another place than the first.
         to_place = jnp.linalg.norm(reports.place - pose[:2], axis=-1)
         moved = jnp.linalg.norm(reports.seen_from - pose[:2], axis=-1)
-        is_looking = reports.is_open & (to_place <= self.near) & (moved >= self.baseline)
-        waits = (around & (reports.is_open & ~is_looking)[:, None, None]).any(axis=0)
+        is_still = (time - reports.suspected >= self.stay) | (reports.kind == PERSON)
+        is_near = (to_place <= self.near) & (moved >= self.baseline)
+        is_looking = reports.is_open & is_near & is_still
+        waiting = reports.is_open & ~is_looking
         kinds = jnp.where(state.known >= 0.5, jnp.int32(GONE), jnp.int32(APPEARED))
-        channels = [Channel(jnp.where(waits, before.change, state.change), kinds, False)]
+        things = Channel(state.change, kinds, False)
+        channels = [things.wait(before.change, waiting, reports.kind, around)]
         if before.person is not None and state.person is not None:
             somebody = jnp.full(grid.shape, PERSON, jnp.int32)
-            channels.append(Channel(jnp.where(waits, before.person, state.person), somebody, True))
+            people = Channel(state.person, somebody, True)
+            channels.append(people.wait(before.person, waiting, reports.kind, around))
         near = ((away <= SIGHT**2) & is_seen).any(axis=(1, 2))
         crossed = jnp.zeros_like(is_looking)
         for channel in channels:
             alarms = around & (channel.evidence >= state.threshold)
             crossed |= alarms.any(axis=(1, 2)) & channel.owns(reports.kind)
-        is_confirmed = is_looking & crossed
+        # What has left its place was somebody who passed, and what is near there now is another.
+        has_left = (reports.absent >= state.threshold) & (reports.kind != PERSON)
+        is_confirmed = is_looking & crossed & ~has_left
         reports = reports.record_look(is_looking & near, is_confirmed, time)
         is_late = (reports.looks >= self.looks) | (time - reports.suspected >= self.expiry)
-        is_dropped = reports.is_open & is_late
+        is_dropped = reports.is_open & (is_late | has_left)
+        kinds_before = reports.kind
         reports = reports.drop(is_dropped)
         is_settled = state.is_settled | (around & is_confirmed[:, None, None]).any(axis=0)
-        restart = is_settled | (around & is_dropped[:, None, None]).any(axis=0)
-        is_closed = restart | (around & reports.is_open[:, None, None]).any(axis=0)
+        sums = []
         for channel in channels:
-            is_new, place, kind = channel.peak(state.threshold, is_closed, centres, self.radius)
-            opened = reports.open_suspicion(is_new, place, kind, time, pose)
+            # A suspicion of the other sort does not keep a person from being found, nor a thing.
+            own = channel.owns(kinds_before)
+            restart = is_settled | (around & (is_dropped & own)[:, None, None]).any(axis=0)
+            is_closed = restart | (around & (reports.is_open & own)[:, None, None]).any(axis=0)
+            is_new, place, spot, kind = channel.peak(
+                state.threshold, is_closed, centres, self.radius
+            )
+            opened = reports.open_suspicion(is_new, place, spot, kind, time, pose)
             is_put = (opened.kind != reports.kind).any()
             reports = opened
-            disc = is_put & (square_distance(centres, place) <= self.radius**2)
-            is_closed, restart = is_closed | disc, restart | disc
-        sums = [jnp.where(restart, 0.0, channel.evidence) for channel in channels]
+            restart |= is_put & (square_distance(centres, place) <= self.radius**2)
+            sums.append(jnp.where(restart, 0.0, channel.evidence))
         return dataclasses.replace(
             state,
             change=sums[0],
@@ -361,11 +379,14 @@ class AnomalyTest(Part):
     ) -> InformationField:
         """Return an information field that leads to the place of the oldest open suspicion.
 
-        Nodes from which a second look is possible get the greatest information of the field.
+        That is one which has lasted for `stay`, or of a person. Nodes from which a second look is
+        possible get the greatest information of the field.
         Elsewhere it is less by the share `attention`. A field without such nodes stays as it is.
         """
         reports = own.reports
-        oldest = jnp.argmin(jnp.where(reports.is_open, reports.suspected, jnp.inf))
+        has_stayed = (own.time - reports.suspected >= self.stay) | (reports.kind == PERSON)
+        is_wanted = reports.is_open & has_stayed
+        oldest = jnp.argmin(jnp.where(is_wanted, reports.suspected, jnp.inf))
         place, seen_from = reports.place[oldest], reports.seen_from[oldest]
         height, width = field.total.shape
         rows, columns = jnp.mgrid[:height, :width]
@@ -373,7 +394,7 @@ class AnomalyTest(Part):
         distance = jnp.linalg.norm(nodes - place, axis=-1)
         is_apart = jnp.linalg.norm(nodes - seen_from, axis=-1) > self.baseline
         is_shown = is_in_sight(grid, nodes, place, 2.0 * SIGHT)
-        views = is_shown & is_apart & (distance <= 0.9 * self.near) & reports.is_open[oldest]
+        views = is_shown & is_apart & (distance <= 0.9 * self.near) & is_wanted[oldest]
         is_attended = views.any()
         kept = jnp.where(is_attended, 1.0 - self.attention, 1.0)
         bonus = jnp.where(views, jnp.max(field.total), 0.0)

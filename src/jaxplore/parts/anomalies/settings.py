@@ -19,6 +19,7 @@ class AnomalySettings(Section):
     near: Length = setting(AnomalyTest, "near")
     baseline: NonNegative = setting(AnomalyTest, "baseline")
     looks: Looks = setting(AnomalyTest, "looks")
+    stay: NonNegative = setting(AnomalyTest, "stay")
     expiry: Positive = setting(AnomalyTest, "expiry")
     attention: Annotated[float, Field(ge=0, lt=1)] = setting(AnomalyTest, "attention")
     radius: Positive = setting(AnomalyTest, "radius")

@@ -106,7 +106,8 @@ def compare_maps(
     episodes = plan.episodes()
     # Before the folder is made: a start or a map may be refused.
     episodes, plans = _with_shapes(episodes, plan.maps)
-    grids, datums = ({name: both[part] for name, both in plans.items()} for part in (0, 1))
+    grids = {name: grid for name, (grid, _) in plans.items()}
+    datums = {name: datum for name, (_, datum) in plans.items()}
     # A second comparison would run the same runs, and `overwrite` would remove those of the first.
     with lock_folder(Path(os.path.realpath(folder)), "comparison folder"):
         store = open_store(folder, plan, overwrite=overwrite)
