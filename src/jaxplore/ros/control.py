@@ -381,9 +381,9 @@ class ControlNode:
             pilot.add_odometry(pose.time, pose.pose, pose.twist, pose.received)
         for scan in scans:
             pilot.add_scan(scan.time, scan.scan, scan.points, scan.received, scan.sweep)
-        for share, received in shares:
+        for share, heard in shares:
             assert self._battery is not None
-            pilot.add_look(Battery.name, share * float(self._battery.capacity), received)
+            pilot.add_look(Battery.name, share * float(self._battery.capacity), heard)
         if parameters:
             pilot.controller = set_parameters(pilot.controller, parameters)
         for order in orders:
