@@ -4,6 +4,7 @@ import dataclasses
 
 from jaxplore.report._numbers import numbers, percent, text
 from jaxplore.report.coverage_levels import LEVELS
+from jaxplore.report.exploration.data import TEAM
 from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics
 from jaxplore.report.exploration.mission_metrics import (
     TARGET_COLUMNS,
@@ -204,6 +205,11 @@ class ExplorationMetrics(MissionMetrics, GuardMetrics):
             *self.last_rows(),
         ]
         return rows
+
+    @property
+    def contacts(self) -> int:
+        """Contacts between robots; 0 of one robot."""
+        return int(getattr(self.parts.get(TEAM), "contacts", 0))
 
     @property
     def is_map_known(self) -> bool:
