@@ -142,7 +142,12 @@ if __name__ == "__main__":
     idle = [each.parts["watch"].idleness for each in (one, parts)]
     gaps["idleness"] = float(np.abs(np.nan_to_num(idle[0] - idle[1])).max())
     gaps["never seen"] = float((np.isinf(idle[0]) != np.isinf(idle[1])).any())
-    gaps["beliefs"] = float(np.abs(one.beliefs.astype(int) - parts.beliefs.astype(int)).max())
+    teams = [each.records.parts["team"]._asdict() for each in (one, parts)]
+    for name in teams[0]:
+        rows = [np.asarray(each[name], np.float64) for each in teams]
+        gaps[f"team {name}"] = float(np.abs(np.subtract(*rows)).max())
+    beliefs = [each.parts["team"].beliefs.astype(int) for each in (one, parts)]
+    gaps["beliefs"] = float(np.abs(beliefs[0] - beliefs[1]).max())
     gaps["frames"] = float(
         np.abs(one.frames[-1].probability.astype(int) - parts.frames[-1].probability).max()
     )
