@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxplore as jx
-from jaxplore.onboard import Pilot
 from jaxplore.parts.battery.robot import JOULES, Battery, Charge
 from jaxplore.parts.battery.truth import DOCK_RADIUS, BatteryState, TrueBattery, drive_length
 from jaxplore.simulation.exploration.part_truth import Drive
@@ -210,10 +209,7 @@ def test_settings_of_a_battery_that_make_no_sense(entries, message) -> None:
         make_settings({"map": "office", "battery": entries})
 
 
-def test_a_robot_that_is_not_told_its_charge_has_no_battery() -> None:
-    controller = jx.explorer(ROBOT, horizon=5, num_samples=8)
-    with pytest.raises(ValueError, match="perception has the part 'battery'; accepted on a robot"):
-        Pilot(scenario(Battery()), controller, jax.random.key(0))
+def test_an_architecture_that_does_not_go_where_it_is_sent_has_no_battery() -> None:
     entries = {"map": "zones", "battery": {}}
     with pytest.raises(ValueError, match="battery is given beside the architecture two-layer"):
         build(make_settings(entries))

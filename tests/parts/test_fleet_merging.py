@@ -109,7 +109,7 @@ def state_of(rows):
     for x, y, kind, reported in rows:
         place = jnp.array([2.0 * x, 2.0 * y])  # nothing is nearer than two radii, or in one place
         known = known.open_suspicion(
-            jnp.array(True), place, jnp.int32(kind), jnp.float32(1.0), jnp.zeros(3)
+            *(jnp.array(True), place, place, jnp.int32(kind), jnp.float32(1.0), jnp.zeros(3))
         )
         at = int(np.flatnonzero(np.asarray(known.kind) > 0)[-1])
         known = known._replace(reported=known.reported.at[at].set(reported))
