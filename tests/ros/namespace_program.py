@@ -47,7 +47,7 @@ class Pilot:
 
 
 def simulated():
-    scenario = SimpleNamespace(sensors=(LIDAR,), steps_per_scan=1, datum=ORIGIN)
+    scenario = SimpleNamespace(sensors=(LIDAR,), steps_per_scan=1, datum=ORIGIN, truths=())
     grid = OccupancyGrid(np.full((2, 3), 0.5), 0.1)
     state = SimpleNamespace(belief=SimpleNamespace(grid=grid))
     robot = {"mount": np.zeros(3), "is_turning": False}

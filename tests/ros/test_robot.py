@@ -7,6 +7,8 @@ import pytest
 
 from jaxplore import Lidar
 from jaxplore.onboard.simulated_robot import RobotMeasurement
+from jaxplore.parts import Battery, TrueBattery
+from jaxplore.ros.messages import battery_share_of
 from jaxplore.ros.robot import RobotNode
 from jaxplore.ros.transforms import Transforms
 
@@ -26,7 +28,8 @@ class FakeLink:
 
     def __init__(self, **kinds) -> None:
         names = "LaserScan Odometry OccupancyGrid PoseWithCovarianceStamped String Twist TFMessage"
-        every = dict.fromkeys((*names.split(), "TransformStamped", "TwistStamped"), Plain)
+        more = ("BatteryState", "TransformStamped", "TwistStamped")
+        every = dict.fromkeys((*names.split(), *more), Plain)
         self.ros = SimpleNamespace(**{**every, **kinds})
         self.sent, self.heard, self.warnings = {}, {}, []
 
@@ -54,9 +57,11 @@ class FakeLink:
         self.warnings.append(message)
 
 
-def robot_node(link, *, has_map):
-    scenario = SimpleNamespace(sensors=(Lidar(num_beams=4, max_range=5.0),), steps_per_scan=1)
-    robot = SimpleNamespace(scenario=scenario, period=0.1, mount=np.zeros(3))
+def robot_node(link, *, has_map, truths=(), **state):
+    sensors = (Lidar(num_beams=4, max_range=5.0),)
+    scenario = SimpleNamespace(sensors=sensors, steps_per_scan=1, truths=truths)
+    state = SimpleNamespace(truths=state)
+    robot = SimpleNamespace(scenario=scenario, period=0.1, mount=np.zeros(3), state=state)
     return RobotNode(link, robot, command_type="twist", has_map=has_map)
 
 
@@ -101,3 +106,17 @@ def test_commands_of_another_type_are_named() -> None:
     node._warn_of_types()
     (said,) = link.warnings
     assert said.startswith("nav2 publishes geometry_msgs/msg/TwistStamped on /cmd_vel, which does")
+
+
+def test_the_charge_of_a_battery_is_published_as_a_share() -> None:
+    link, battery = FakeLink(), TrueBattery(Battery(capacity=2.0))
+    charge = SimpleNamespace(energy=np.float32(0.25 * 2.0 * 3600.0))
+    node = robot_node(link, has_map=False, truths=(battery,), battery=charge)
+    node._publish_battery(12.5)
+    (message,) = link.sent["battery_state"]
+    assert battery_share_of(message) == pytest.approx(0.25)
+    assert message.present is True
+    assert message.header.frame_id == "robot1/base_link"
+    without = FakeLink()
+    robot_node(without, has_map=False)._publish_battery(12.5)
+    assert "battery_state" not in without.sent
