@@ -33,7 +33,7 @@ class Pilot:
 
     def __init__(self) -> None:
         self.sensor, self.controller = LIDAR, Softmax(0.3)
-        self.task = SimpleNamespace(perception=SimpleNamespace(resolution=0.1))
+        self.task = SimpleNamespace(perception=SimpleNamespace(resolution=0.1, part=lambda _: None))
         self.ranges, self.positions, self.correction = set(), set(), np.zeros(3)
 
     def make_frame(self):
