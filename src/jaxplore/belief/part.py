@@ -190,8 +190,12 @@ class Part(eqx.Module):
             own: the state.
             told: states of N robots, stacked along a first axis.
             is_heard: (N,) which of them the robot hears.
+
+        Raises:
+            ValueError: a part that has no place in a fleet, see `check_fleet`.
         """
-        raise NotImplementedError(f"{type(self).__name__} has no merge")
+        self.check_fleet()
+        return own
 
     def check_fleet(self) -> None:
         """Check that a robot of a fleet can have the part.

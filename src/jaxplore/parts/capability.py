@@ -53,6 +53,7 @@ class Capability:
         dimensions: 2 for a capability of robots on a plane, 3 for one in a volume.
         control: function that returns what presets of controllers are told of it, by the name of
             their argument; nothing when absent.
+        sends_robot: whether its part sends the robot to a place.
         is_on_board: whether a real robot can have it; the node does not read its settings
             otherwise.
     """
@@ -63,4 +64,5 @@ class Capability:
     build: Callable[[Any, Surroundings], Built]
     dimensions: int = 2
     control: Callable[[Any, Surroundings], Mapping[str, Any]] = lambda *_: {}
+    sends_robot: bool = False
     is_on_board: bool = True

@@ -128,7 +128,7 @@ class Course(NamedTuple):
     known: Callable[[Any], np.ndarray] | None = None
 
 
-def find_known(frame: Any) -> np.ndarray:
+def find_known_cells(frame: Any) -> np.ndarray:
     """Return the cells (H, W) that the `probability` of a frame knows: `4 p (1 - p) <= 1/2`."""
     p = frame.probability / 255.0
     return np.asarray(4.0 * p * (1.0 - p) <= 0.5)

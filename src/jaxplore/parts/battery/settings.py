@@ -42,4 +42,5 @@ BATTERY = Capability(
     meaning="the robot's battery and its dock; it never runs down when absent.",
     settings=BatterySettings,
     build=build_battery,
+    sends_robot=True,
 )

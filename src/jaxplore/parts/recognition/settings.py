@@ -51,4 +51,6 @@ DETECTOR = Capability(
     meaning="the detector of objects by the first sensor; none when absent.",
     settings=DetectorSettings,
     build=build_recognition,
+    # No topic tells a node what a detector sees.
+    is_on_board=False,
 )

@@ -88,7 +88,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
         spot = (window.place(recording.goal[None]) + window.corner)[0]
         axes.plot(*spot, marker="*", color="#e9a23b", label="goal", **MARKS)
     add_outline(axes, recording, window)
-    _add_missed(axes, recording, window, unseen)
+    _draw_missed_walls(axes, recording, window, unseen)
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
     add_moving_obstacles(axes, recording, window)
@@ -159,7 +159,7 @@ def _add_track(axes: "Axes", robot: RobotRun, window: Window, *, is_one: bool) -
         axes.plot(*place, marker=marker, color=style["color"], **MARKS)
 
 
-def _add_missed(
+def _draw_missed_walls(
     axes: "Axes", recording: ExplorationData, window: Window, unseen: np.ndarray
 ) -> None:
     """Draw the outline of the walls that the belief lacks."""

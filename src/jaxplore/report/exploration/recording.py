@@ -17,7 +17,7 @@ from jaxplore.report.exploration.members import members_figure
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.plots import coverage_figure, map_figure
 from jaxplore.report.exploration.progress import is_known_map, progress
-from jaxplore.report.recording import Course, Recording, find_known
+from jaxplore.report.recording import Course, Recording, find_known_cells
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +46,7 @@ class ExplorationRecording(ExplorationData, Recording):
         """Return what a comparison on several maps shows of the run."""
         _, coverage, entropy, path = progress(self)
         places = np.stack([each.positions for each in self.robots])
-        return Course(coverage, path, places, entropy, find_known)
+        return Course(coverage, path, places, entropy, find_known_cells)
 
     def frame_image(self, frame: ExplorationFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a frame as in the animation."""

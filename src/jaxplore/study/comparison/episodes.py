@@ -170,7 +170,7 @@ def make_episodes(
             name,
             seed,
             {
-                **_without_own(read[name, each.name], name),
+                **_drop_own(read[name, each.name], name),
                 **({} if each.start is None else {"start": list(each.start)}),
             },
             batch,
@@ -201,7 +201,7 @@ def _runs(
     return runs
 
 
-def _without_own(entries: Entries, variant: str) -> dict[str, Any]:
+def _drop_own(entries: Entries, variant: str) -> dict[str, Any]:
     """Return entries without the map, the seed, and an architecture by which a variant is named."""
     left = {"architecture"} if entries.get("architecture") == variant else set[str]()
     left |= {"seed"} | {kind.selector for kind in KINDS.values()}

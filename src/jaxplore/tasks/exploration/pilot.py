@@ -69,8 +69,25 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
             f"setting fleet.robots is {settings.fleet.robots}; accepted: no section fleet, for "
             "each robot of a fleet has a node of its own"
         )
+    _check_parts(settings, node)
     check_no_mount(settings, "node.lidar_x, node.lidar_y and node.lidar_yaw_degrees")
     return settings, node
+
+
+def _check_parts(settings: Settings, node: NodeSettings) -> None:
+    """Check that no capability is given that the mode of the node would not use.
+
+    A chooser of goals has a map alone, and a robot on the path of another program goes nowhere of
+    its own.
+    """
+    for each in CAPABILITIES:
+        if getattr(settings, each.name, None) is None or node.mode == "control":
+            continue
+        if node.mode == "goal" or each.sends_robot:
+            raise ValueError(
+                f"setting {each.name} is given with node.mode {node.mode}; accepted: without it, "
+                "or node.mode control"
+            )
 
 
 def check_no_mount(settings: Settings, others: str) -> None:
