@@ -102,9 +102,18 @@ class Kernel(Interpolation):
     """Kernel interpolation, `k(t, t_knots) k(t_knots, t_knots)^-1`; abstract.
 
     It is the posterior mean of a Gaussian process with covariance k, given the knots.
+
+    Args:
+        length_scale: length scale of the covariance [model steps]; static.
+
+    Raises:
+        ValueError: a length that is not positive.
     """
 
-    length_scale: eqx.AbstractVar[float]
+    length_scale: float = eqx.field(static=True)
+
+    def __init__(self, length_scale: float = 1.0) -> None:
+        self.length_scale = _checks.number("length_scale", length_scale, above=0.0)
 
     @abc.abstractmethod
     def covariance(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -154,11 +163,6 @@ class RBFKernel(Kernel):
         ValueError: a length that is not positive.
     """
 
-    length_scale: float = eqx.field(static=True)
-
-    def __init__(self, length_scale: float = 1.0) -> None:
-        self.length_scale = _checks.number("length_scale", length_scale, above=0.0)
-
     def covariance(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
         """Return the kernel at a distance [model steps]."""
         scaled = distance / self.length_scale
@@ -176,11 +180,6 @@ class MaternKernel(Kernel):
     Raises:
         ValueError: a length that is not positive.
     """
-
-    length_scale: float = eqx.field(static=True)
-
-    def __init__(self, length_scale: float = 1.0) -> None:
-        self.length_scale = _checks.number("length_scale", length_scale, above=0.0)
 
     def covariance(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
         """Return the kernel at a distance [model steps]."""
