@@ -13,7 +13,7 @@ from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.goal_check import GoalCheck
-from jaxplore.maps.datum import Datum
+from jaxplore.maps.datum import DECIMALS, Datum
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
@@ -39,16 +39,16 @@ def check_goal(
     name: str = "goal",
 ) -> None:
     """Check that a goal is in free space, and within `radius` [m] of a reachable cell's centre."""
+    # In single precision 0.05 would be told as 0.05000000074505806.
+    told = np.round(datum.round_to_map(goal).astype(np.float64), DECIMALS).tolist()
     if float(probability_at(world, goal)) >= FREE_THRESHOLD:
-        raise ValueError(
-            f"{name} is {datum.round_to_map(goal).tolist()}; accepted: a place in free space"
-        )
+        raise ValueError(f"{name} is {told}; accepted: a place in free space")
     centres = np.argwhere(np.asarray(reachable)) + 0.5
     away = np.linalg.norm(centres - np.asarray(to_grid(world.frame, goal)), axis=-1)
     nearest = world.resolution * float(away.min())
     if nearest > radius:
         raise ValueError(
-            f"{name} is {datum.round_to_map(goal).tolist()}, which a robot of radius "
+            f"{name} is {told}, which a robot of radius "
             f"{float(robot.radius):g} m cannot reach from its start: {nearest:.2f} m is the "
             f"nearest it gets; accepted: a {name} within {radius:g} m of where it can go"
         )
