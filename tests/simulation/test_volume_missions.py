@@ -1,5 +1,6 @@
 """A quadrotor flies to a goal in a volume in the closed loop."""
 
+import itertools
 import math
 
 import equinox as eqx
@@ -80,6 +81,23 @@ def test_it_flies_around_the_wall_and_comes_to_rest_at_the_goal(run) -> None:
     assert np.linalg.norm(gap, axis=1).min() >= 0.3
     assert metrics.untraversable_steps == 0
     assert np.abs(place[:, 0] - 3.0).min() < 0.1
+
+
+@pytest.mark.parametrize("goal", [(3.6, 0.7, 0.6), (3.7, 0.6, 1.8)])
+def test_it_backs_off_to_see_a_goal_that_it_comes_upon_around_a_corner(controller, goal) -> None:
+    # From the end of the wall the camera looks over the first goal, and under the second one.
+    seen = jx.VolumePerception(
+        [CAMERA], SIDE, QUADROTOR.radius, goal=goal, goal_heading=1.0, parts=[BOXES]
+    )
+    given = volume(
+        start=START, goal=goal, goal_heading=1.0, perception=seen, moving_obstacles=PEOPLE
+    )
+    around = record_run(controller, given, 600, key=jax.random.key(1), num_trajectories=0)
+    metrics = around.metrics()
+    assert metrics.is_finished
+    assert metrics.collisions == 0
+    last = np.asarray(around.records.state)[-1, :3] * [1.0, 1.0, -1.0]
+    assert np.linalg.norm(last - goal) < 0.15
 
 
 def test_it_avoids_somebody_whom_it_sees_and_does_not_map(run) -> None:
@@ -210,7 +228,10 @@ def _with_box(place) -> jx.VolumePerception:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"goal": (3.1, 0.9, 1.2)}, "cannot reach from its start: .* accepted: a goal within 0.2"),
+        (
+            {"goal": (3.1, 0.9, 1.2)},
+            "cannot reach from its start: .* accepted: a goal within 0.135",
+        ),
         ({"goal": (99.0, 0.9, 1.2)}, "goal is .*99, .*cannot reach from its start"),
         ({"goal": GOAL, "targets": [GOAL]}, "beside targets; accepted: one of them"),
         ({"goal": GOAL, "perception": _with_box(START)}, r"start is \(1, 0.9, 1.2\), in a keep-"),
@@ -218,6 +239,13 @@ def _with_box(place) -> jx.VolumePerception:
         ({"targets": [GOAL], "perception": _with_box(GOAL)}, "targets are 1, all in keep-out b"),
         ({"goal": (1.0, 2.0)}, "goal is .* accepted: 3 finite numbers"),
         ({"goal": GOAL, "goal_radius": 0.0}, "goal_radius is 0.0; accepted"),
+        (
+            {
+                "goal": GOAL,
+                "perception": jx.VolumePerception([CAMERA], SIDE, 0.3, goal=GOAL, goal_radius=0.3),
+            },
+            r"perception has the goal_radius 0.30.*; accepted: the scenario's, 0.15",
+        ),
         (
             {"goal": GOAL, "perception": jx.VolumePerception([CAMERA], SIDE, 0.3)},
             "perception has the goal None; accepted: the scenario's",
@@ -227,6 +255,36 @@ def _with_box(place) -> jx.VolumePerception:
 def test_goals_that_are_not_possible_are_refused(given, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         volume(start=START, **given)
+
+
+def test_a_goal_that_is_accepted_has_room_within_its_radius() -> None:
+    # In voxels of 0.2 m a robot of 0.25 m fits at the middles of the second ones from a wall.
+    robot, given = jx.Quadrotor(radius=0.25), room()
+    solid = np.argwhere(np.asarray(given.is_occupied))[:, ::-1] * SIDE
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(3000, 3))
+    ball *= rng.random((3000, 1)) ** (1 / 3) / np.linalg.norm(ball, axis=1, keepdims=True)
+
+    def room_at(points: np.ndarray) -> np.ndarray:
+        """Return the distance to the nearest solid voxel, a cube, by brute force."""
+        gap = np.maximum(np.maximum(solid - points[:, None], points[:, None] - solid - SIDE), 0.0)
+        return np.linalg.norm(gap, axis=-1).min(axis=1)
+
+    refused = 0
+    for radius, place in itertools.product(
+        (0.05, 0.15), rng.uniform((5, 0.2, 0.2), (7, 0.7, 0.7), (12, 3))
+    ):
+        goal = [round(each, 3) for each in place]
+        most = room_at(goal + radius * ball).max()
+        try:
+            jx.VolumeScenario(given, robot, CAMERA, START, goal=goal, goal_radius=radius)
+        except ValueError:
+            refused += 1
+            # Of the radius, a tenth is for control, and clearance is up to half a voxel short.
+            assert most < 0.25 + 0.1 * radius + 0.5 * SIDE
+        else:
+            assert most >= 0.25 - 1e-3
+    assert 4 < refused < 20
 
 
 def test_a_goal_needs_the_whole_map_and_a_controller_that_knows_it() -> None:

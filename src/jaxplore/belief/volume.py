@@ -27,10 +27,19 @@ from jaxplore.belief.robot_cells import free_around
 from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shift_array, window_shape
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
 from jaxplore.belief.volume_belief import GoalKnowledge, VolumeBelief
-from jaxplore.belief.volume_goal import goal_roads, goal_sources, way_ahead
+from jaxplore.belief.volume_goal import (
+    LOOKS_WITHIN,
+    goal_roads,
+    look_sources,
+    resting_place,
+    sees,
+    unknown_around,
+    way_ahead,
+)
 from jaxplore.belief.volume_information import update_information
 from jaxplore.belief.volume_lattice import NODE, blank_field, points_of, volume_lattice
 from jaxplore.belief.volume_roads import NARROWEST, VolumeRoads
+from jaxplore.dynamics.goal_check import GOAL_RADIUS
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import clearance_of_volume, update_clearance
 from jaxplore.maps.volume_field import VolumeField
@@ -75,6 +84,7 @@ class VolumePerception(eqx.Module):
             moves with the robot. What leaves it is kept with one byte for each voxel.
         goal: position (x, y, z) to which the robot flies, with z up [m]; it explores when absent.
         goal_heading: heading at the goal [rad]; any when absent.
+        goal_radius: distance within which the goal is reached [m].
         unknown_factor: additional cost of a metre of the way to the goal where the robot is not
             known to fit, in metres.
         parts: what the robot knows beside its map, such as `jaxplore.parts.KeepOutBoxes`.
@@ -86,6 +96,7 @@ class VolumePerception(eqx.Module):
 
     sensors: tuple[VolumeSensor, ...]
     sensor_model: InverseSensorModel
+    radius: Scalar
     required: Scalar
     decay_length: Scalar
     min_information: Scalar
@@ -95,6 +106,7 @@ class VolumePerception(eqx.Module):
     turning: Scalar
     goal: Float[Array, "3"] | None
     goal_heading: Scalar | None
+    goal_radius: Scalar
     unknown_factor: Scalar
     parts: tuple[Part, ...]
     table: VoxelTable
@@ -127,6 +139,7 @@ class VolumePerception(eqx.Module):
         window: Vector | None = None,
         goal: Vector | None = None,
         goal_heading: ArrayLike | None = None,
+        goal_radius: ArrayLike = GOAL_RADIUS,
         unknown_factor: ArrayLike = 0.5,
         parts: Sequence[Part] = (),
     ) -> None:
@@ -137,9 +150,8 @@ class VolumePerception(eqx.Module):
             raise ValueError("sensors is empty; accepted: one sensor or more")
         self.sensors = tuple(sensors)
         self.sensor_model = InverseSensorModel() if sensor_model is None else sensor_model
-        self.required = _checks.scalar("radius", radius, above=0.0) + _checks.scalar(
-            "margin", margin, at_least=0.0
-        )
+        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.required = self.radius + _checks.scalar("margin", margin, at_least=0.0)
         self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
         self.min_information = _checks.scalar("min_information", min_information, above=0.0)
         self.occupancy_prior = _checks.scalar(
@@ -168,6 +180,7 @@ class VolumePerception(eqx.Module):
         self.goal_heading = (
             None if goal_heading is None else _checks.scalar("goal_heading", goal_heading)
         )
+        self.goal_radius = _checks.scalar("goal_radius", goal_radius, above=0.0)
         self.unknown_factor = _checks.scalar("unknown_factor", unknown_factor, at_least=0.0)
         self.parts = as_parts(parts, (), None, dimensions=3)
         if goal is None and goal_heading is not None:
@@ -243,7 +256,10 @@ class VolumePerception(eqx.Module):
             solid = _close(grid.is_occupied, barred)
             walls = clearance_of_volume(grid, self.reach, solid).values
             room, way = coarse_room(walls, self.pool), jnp.zeros(2)
-            goal = GoalKnowledge(self.goal, self.goal_heading, walls, room, way)
+            goal = GoalKnowledge(
+                *(self.goal, self.goal_heading, self.goal_radius, walls, room, way),
+                *(self.goal, jnp.array(False)),
+            )
         guidance = blank_field(grid, self.pool)
         view = ViewField(jnp.zeros_like(sectors), guidance.origin, guidance.spacing)
         return VolumeBelief(
@@ -401,7 +417,7 @@ class VolumePerception(eqx.Module):
             source = jnp.minimum(source, at_faces)
         guidance, goal = roads.field(source), belief.goal
         if goal is not None:
-            guidance, goal = self._guide_to(goal, roads, dwell, position, belief.grid.resolution)
+            guidance, goal = self._guide_to(goal, belief, roads, dwell, position)
         views, attention = (
             jnp.einsum("ha,adrc->hdrc", shares, sectors)
             for shares in (self.in_view, self.in_view + self.turning * self.towards)
@@ -430,19 +446,44 @@ class VolumePerception(eqx.Module):
     def _guide_to(
         self,
         goal: GoalKnowledge,
+        belief: VolumeBelief,
         roads: VolumeRoads,
         dwell: Float[Array, "A D H W"],
         position: Float[Array, "3"],
-        side: float,
     ) -> tuple[VolumeField, GoalKnowledge]:
-        """Return the cost-to-go to the goal, and the direction in which it leads."""
+        """Return the cost-to-go to the goal, and the direction in which it leads.
+
+        Near a goal where the robot is not known to fit, it is the cost-to-go to where the robot
+        would see what is unknown there: from too near, it is out of the view.
+        """
         near = dwell.max(axis=0) / self.patience
         room = points_of(goal.room, roads.slowness.shape)
-        needed = self.required, self._least(side)
+        needed = self.required, self._least(belief.grid.resolution)
         ways = goal_roads(roads, room, *needed, near, self.unknown_factor)
-        costs = ways.lengths(goal_sources(ways, goal.position))
-        way = way_ahead(costs, ways, position)
-        return ways.extend(costs), dataclasses.replace(goal, way=way)
+        walls = dataclasses.replace(belief.clearance, values=goal.walls)
+        place, fits = resting_place(
+            *(belief.clearance, walls, goal.position, goal.radius, self.radius)
+        )
+        ends = ways.around(place)
+        first = self.sensors[0]
+        view = belief.grid, first.elevations, first.max_range
+
+        def look() -> tuple[Array, Array, Array]:
+            point = unknown_around(belief.grid, place, self.radius)
+            source = look_sources(view[0], roads, *view[1:], dwell / self.patience, point)
+            is_seen = sees(*view, position[None], point)[0]
+            gap = (point - position)[:2]
+            facing = gap / jnp.maximum(jnp.sqrt(jnp.sum(gap * gap)), 1e-3)
+            looks = jnp.isfinite(source).any()
+            return jnp.where(looks, source, ends), looks & is_seen, facing
+
+        away = place - position
+        is_near = jnp.sum(away * away) < LOOKS_WITHIN * LOOKS_WITHIN
+        nothing = jnp.array(False), jnp.zeros(2)
+        source, faces, facing = jax.lax.cond(~fits & is_near, look, lambda: (ends, *nothing))
+        costs = ways.lengths(source)
+        way = jnp.where(faces, facing, way_ahead(costs, ways, position))
+        return ways.extend(costs), dataclasses.replace(goal, way=way, place=place, fits=fits)
 
     def _roll_window(self, belief: VolumeBelief, position: Float[Array, "3"]) -> VolumeBelief:
         """Return the belief with its window around the robot, if that is near a face of it."""

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplore._types import Scalar
+from jaxplore._types import Flag, Scalar
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.rolling_map import RollingMap
 from jaxplore.belief.view_field import ViewField
@@ -21,18 +21,24 @@ class GoalKnowledge(eqx.Module):
     Args:
         position: position (x, y, z) of the goal [m].
         heading: heading at the goal [rad]; any when None.
+        radius: distance from it within which the goal is reached [m].
         walls: distance to the nearest voxel that is known to be occupied, up to the reach of the
             perception [m].
         room: least of it in each coarser voxel [m].
         way: level direction (x, y) in which the way to the goal leads from the robot, of length 1
             or, where it leads up or down, shorter.
+        place: where the robot comes to rest: the place near the goal that has room [m].
+        fits: whether the robot is known to fit there.
     """
 
     position: Float[Array, "3"]
     heading: Scalar | None
+    radius: Scalar
     walls: Float[Array, "D H W"]
     room: Float[Array, "D2 H2 W2"]
     way: Float[Array, "2"]
+    place: Float[Array, "3"]
+    fits: Flag
 
 
 class VolumeBelief(eqx.Module):

@@ -50,9 +50,14 @@ class VolumeRoads(eqx.Module):
         return volume_geodesic(source / self.spacing, self.slowness, self.half_open) * self.spacing
 
     def lengths_from(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:
-        """Return the cost of the path from a position (x, y, z) to each node [m].
+        """Return the cost of the path from a position (x, y, z) to each node [m]."""
+        return self.lengths(self.around(position))
 
-        A path begins at an open node within a spacing of the nearest one. Only nodes count to which
+    def around(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:
+        """Return the straight distance from a position to the nodes at which its paths begin and
+        end [m]; infinite at others.
+
+        These are the open nodes within a spacing of the nearest one. Only nodes count to which
         open points of half the spacing lead from the open one nearest to the position: a node on
         the other side of a wall may be as near as one on this side.
         """
@@ -61,7 +66,7 @@ class VolumeRoads(eqx.Module):
         for _ in range(BEGIN_STEPS):
             is_reached = self.half_open & _dilate(is_reached)
         gap = jnp.where(is_reached, away, jnp.inf)[::2, ::2, ::2]
-        return self.lengths(jnp.where(gap <= gap.min() + self.spacing, gap, jnp.inf))
+        return jnp.where(gap <= gap.min() + self.spacing, gap, jnp.inf)
 
     def field(self, source: Float[Array, "D H W"]) -> VolumeField:
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""

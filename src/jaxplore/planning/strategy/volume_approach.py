@@ -19,6 +19,8 @@ from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
 
 AWAY = 0.8
 """Distance of what moves beyond which the position controller takes over [m]."""
+ROUNDING = 1e-4
+"""Difference of clearances that does not count [m]."""
 POINTS = 9
 """Points of the straight line to the goal at which the clearance is read."""
 
@@ -26,9 +28,10 @@ POINTS = 9
 class GoalApproach(ModelBasedController):
     """Flies to a goal with another controller, and over the last metre with a position controller.
 
-    Within `near` of the goal, where the straight line to it keeps the robot's radius from all that
+    The place at which it comes to rest is that with room next to the goal (`GoalKnowledge.place`).
+    Within `near` of it, where the straight line to it keeps the robot's radius from all that
     is not known to be free, and where nothing that moves is within 0.8 m, the command is that of
-    `QuadrotorFollower`. It comes to rest at the goal, and turns to its heading if it has one.
+    `QuadrotorFollower`. It comes to rest there, and turns to the heading of the goal if it has one.
     Sampled commands vary by more than the speed at which a robot is at rest.
 
     Args:
@@ -70,7 +73,7 @@ class GoalApproach(ModelBasedController):
                 lambda each: each.heading, follower, goal.heading, is_leaf=lambda each: each is None
             )
         # A mirror in z: the model has z down.
-        target = position_upwards(goal.position)
+        target = position_upwards(goal.place)
         held = follower.control(self.dynamics, observation, target, jnp.zeros(3))
         held = jnp.clip(held, self.dynamics.control_min, self.dynamics.control_max)
         return jnp.where(self._takes_over(observation, belief, goal), held, control), after, info
@@ -78,13 +81,13 @@ class GoalApproach(ModelBasedController):
     def _takes_over(self, observation: StateVector, belief: Any, goal: GoalKnowledge) -> Flag:
         """Check whether the goal is near, and the straight line to it is free."""
         here = position_upwards(observation)
-        gap = goal.position - here
+        gap = goal.place - here
         shares = jnp.linspace(0.0, 1.0, POINTS)[:, None]
         line: Float[Array, "9 3"] = here + shares * gap
-        room = jax.vmap(belief.clearance)(line).min()
-        is_free: Flag = (jnp.sum(gap * gap) < self.near * self.near) & (
-            room >= self.dynamics.radius
-        )
+        room = jax.vmap(belief.clearance)(line)
+        # Where the robot is nearer to something than its radius, it may fly away from that.
+        is_open = room.min() >= jnp.minimum(self.dynamics.radius, room[0] - ROUNDING)
+        is_free: Flag = goal.fits & is_open & (jnp.sum(gap * gap) < self.near * self.near)
         if belief.obstacles is None:
             return is_free
         state = State(observation, self.dynamics, self.dynamics.default_control)

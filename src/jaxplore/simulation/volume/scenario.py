@@ -29,6 +29,7 @@ from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
+from jaxplore.belief.volume_goal import EASE, INSIDE, resting_place
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.goal_check import (
@@ -40,6 +41,7 @@ from jaxplore.dynamics.goal_check import (
 )
 from jaxplore.dynamics.quadrotor import Quadrotor, position_upwards
 from jaxplore.maps.datum import ORIGIN, Datum
+from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
@@ -55,7 +57,7 @@ from jaxplore.simulation.exploration.scenario import TOLD_NOISE
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
-from jaxplore.simulation.volume.observable import find_fitting_places, observable
+from jaxplore.simulation.volume.observable import find_fitting_places, observable, room_around
 from jaxplore.simulation.volume.people import Cylinders
 from jaxplore.simulation.volume.true_volume import TrueVolume
 
@@ -583,9 +585,9 @@ def _check_goal(
     *,
     has_targets: bool,
 ) -> None:
-    """Check that a goal is within its radius of a voxel at whose centre the robot can get.
+    """Check that a robot that knows the world would come to rest at a goal (`resting_place`).
 
-    `places` (D, H, W) are these voxels, and `radius` is that of the robot [m].
+    `places` (D, H, W) are the voxels at whose centres it can get, and `radius` is its own [m].
     """
     at = _show(np.asarray(check.position), datum)
     if has_targets:
@@ -594,16 +596,28 @@ def _check_goal(
     if ((voxel >= 0) & (voxel < world.shape)).all() and is_barred[tuple(voxel)]:
         raise ValueError(f"goal is {at}, in a keep-out box; accepted: outside of all")
     side = world.resolution
-    goal = np.asarray(check.position, np.float64) - np.asarray(world.origin, np.float64)
-    centres = (np.argwhere(places)[:, ::-1] + 0.5) * side
-    nearest = float(np.linalg.norm(centres - goal, axis=1).min())
-    # Between the centres of voxels there is room as well.
-    most = max(float(check.radius), side)
-    if nearest > most:
+    # All that is solid to the robot near the goal; off the volume all is.
+    reach = math.ceil((float(check.radius) + radius + EASE) / side) + 3
+    low, high = np.maximum(voxel - reach, 0), np.maximum(voxel + reach + 1, 0)
+    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    solid = ~np.asarray(world.is_free)[box] | is_barred[box]
+    room = room_around(solid) * side if solid.size else np.zeros((1, 1, 1))
+    corner = world.to_world(jnp.asarray(low + 0.5, jnp.float32))
+    field = VolumeField(jnp.asarray(room, jnp.float32), corner, side, jnp.zeros(()))
+    place, fits = resting_place(
+        *(field, field, check.position, check.radius, jnp.asarray(radius, jnp.float32))
+    )
+    # The robot can get to a place between voxels if it can to one of these.
+    low = np.floor(np.asarray(world.to_grid(place)) - 0.5).astype(int)
+    around = places[tuple(slice(max(0, each), max(0, each + 2)) for each in low)]
+    if not (bool(fits) and around.any()):
+        goal = np.asarray(check.position, np.float64) - np.asarray(world.origin, np.float64)
+        centres = (np.argwhere(places)[:, ::-1] + 0.5) * side
+        nearest = float(np.linalg.norm(centres - goal, axis=1).min())
         raise ValueError(
             f"goal is {at}, which a robot of radius {radius:g} m cannot reach from its start: "
             f"{nearest:.2f} m is the nearest it gets; accepted: a goal within "
-            f"{most:g} m of where it can go"
+            f"{INSIDE * float(check.radius):.3g} m of where it can go"
         )
 
 
@@ -617,13 +631,14 @@ def _check_perception(
     """Check that a perception has the goal of a scenario, or make one when absent."""
     goal, heading = (None, None) if check is None else (check.position, check.heading)
     if perception is None:
+        ends = {} if check is None else {"goal_radius": check.radius}
         return VolumePerception(
-            sensors, world.resolution, robot.radius, goal=goal, goal_heading=heading
+            sensors, world.resolution, robot.radius, goal=goal, goal_heading=heading, **ends
         )
-    for name, own, wanted in (
-        ("goal", perception.goal, goal),
-        ("goal_heading", perception.goal_heading, heading),
-    ):
+    pairs = [("goal", perception.goal, goal), ("goal_heading", perception.goal_heading, heading)]
+    if check is not None:
+        pairs.append(("goal_radius", perception.goal_radius, check.radius))
+    for name, own, wanted in pairs:
         values = [None if each is None else each.tolist() for each in (own, wanted)]
         if values[0] != values[1]:
             raise ValueError(

@@ -68,6 +68,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         robot.radius,
         goal=goal,
         goal_heading=None if goal is None else settings.goal_heading,
+        goal_radius=settings.goal_radius,
         parts=build_parts(settings, Surroundings(datum, radius=float(robot.radius))).parts,
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
