@@ -176,8 +176,10 @@ def summarise(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "clearance [m]": min(each["minimum_clearance"] for each in found),
                 "jerk": median("command_jerk"),
                 "goal distance [m]": median("goal_distance"),
-                "targets": f"{sum(e['targets_seen'] for e in found)}"
-                f"/{sum(e['num_targets'] for e in found)}",
+                "targets": "/".join(
+                    str(sum(e["targets"][name] for e in found if "targets" in e))
+                    for name in ("seen", "number")
+                ),
                 "untraversable": sum(each["untraversable_steps"] for each in found),
                 "idle [s]": idle(found),
                 "diversity": median("diversity"),

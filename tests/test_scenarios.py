@@ -16,7 +16,7 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore.cli import main
-from jaxplore.parts import AnomalyTest, IdlenessMap
+from jaxplore.parts import AnomalyTest, IdlenessMap, Targets
 from jaxplore.simulation.loop import initial_loop_state, moment_at
 from jaxplore.simulation.state import LoopState
 from jaxplore.tasks.exploration.settings import SCENARIOS, is_scenario_file, read_settings
@@ -53,7 +53,8 @@ def test_each_builds_with_a_portfolio_and_what_it_says(made, name: str) -> None:
     size = np.array(scenario.world.shape[::-1]) * scenario.world.resolution
     np.testing.assert_allclose(size, world["size"], atol=1e-6)
     np.testing.assert_allclose(scenario.start[:3], world["start"], atol=1e-6)
-    assert scenario.num_targets == len(world.get("targets", ()))
+    targets = next((each for each in scenario.truths if isinstance(each, Targets)), None)
+    assert (0 if targets is None else targets.number) == len(world.get("targets", ()))
     assert (scenario.ground is None) == ("hills" not in world)
     movers = 0 if scenario.moving_obstacles is None else len(scenario.moving_obstacles.radius)
     assert movers == len(world.get("movers", ()))
@@ -95,7 +96,8 @@ def test_a_camera_leads_in_the_search(made) -> None:
     # Its ground is known, and some of it closed; all targets are on ground that can be driven on.
     closed = ~np.asarray(search.ground.is_traversable)
     assert 0.01 < closed.mean() < 0.5
-    rows, columns = np.asarray(search.world.frame.to_cell(search.targets)).T
+    assert isinstance(search.truths[0], Targets)
+    rows, columns = np.asarray(search.world.frame.to_cell(search.truths[0].places)).T
     assert not closed[rows, columns].any()
 
 
@@ -205,7 +207,7 @@ def test_a_scenario_of_one_s_own_runs_and_its_settings_repeat_it(capsys) -> None
     for one in metrics:
         one.pop("compute")
     assert metrics[0] == metrics[1]
-    assert metrics[0]["num_targets"] == 2
+    assert metrics[0]["targets"]["number"] == 2
     assert metrics[0]["seed"] == 5
     assert list(metrics[0]["members"]) == ["explorer", "cautious"]
     used = yaml.safe_load((folder / "settings.yaml").read_text())

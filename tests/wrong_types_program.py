@@ -134,7 +134,9 @@ def everything() -> dict[str, Callable[..., Any]]:
             if is_record or inspect.isabstract(value) or name in RECORDS | INNER:
                 continue
             if any(each.kind != each.VAR_POSITIONAL for each in signature.values()):
-                found[name] = value
+                is_other = found.get(name, value) is not value
+                room = package.__name__.removeprefix("jaxplore.")
+                found[f"{room}.{name}" if is_other else name] = value
     return found
 
 
@@ -267,6 +269,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "target_explorer": {"rule": "nearest-frontier", "perception": scenario.perception},
         "KeepOut": {"areas": [[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]]},
         "Objects": {},
+        "parts.Targets": {"places": [[1.0, 1.0]]},
         "Battery": {"dock": (1.0, 1.0)},
         "TrueBattery": {"battery": jx.parts.Battery((1.0, 1.0))},
         "PlantedAnomalies": {"boxes": [(0.0, 0.0, 1.0, 1.0)], "kinds": [1]},

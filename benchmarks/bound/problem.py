@@ -72,11 +72,11 @@ class Problem:
         """
         robot = build_robot(settings.robot)
         world = build_world(settings, float(robot.radius))
-        if world.goal is not None or world.targets:
+        scenario = build_scenario(settings, robot, world)
+        if world.goal is not None or scenario.ends_by_parts:
             raise ValueError(
                 "the run has a goal or targets; accepted: runs that end by coverage alone"
             )
-        scenario = build_scenario(settings, robot, world)
         if float(robot.turning_radius) > 0.0:
             raise ValueError(
                 f"robot.model is {settings.robot.model!r}; accepted: robots that turn on the spot"

@@ -146,7 +146,6 @@ def driven(tmp_path: Path) -> Driven:
         effective_sample_size=blank,
         is_finite=blank == 0,
         is_faulty=blank > 0,
-        targets_seen=np.zeros(steps, np.int32),
         parts={},
         members=None,
     )
@@ -176,7 +175,6 @@ def driven(tmp_path: Path) -> Driven:
         target_coverage=0.99,
         is_interrupted=False,
         footprint=np.zeros((0, 2)),
-        targets=np.zeros((0, 2)),
         elevation=None,
         traversable=None,
         mover_radii=np.zeros(0),

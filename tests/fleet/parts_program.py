@@ -51,7 +51,7 @@ def two_robots():
         perception=perception,
         control_rate=20.0,
         field_rate=4.0,
-        targets=[(1.9, 1.5), (3.5, 0.5)],
+        truths=[jx.parts.Targets([(1.9, 1.5), (3.5, 0.5)])],
     ).with_guard(jx.MotionGuard())
     fleet = Noted(alone, [(1.0, 1.0, 0.3), (1.0, 2.0, -0.4)], plan_length=10)
     drive = jx.explorer(

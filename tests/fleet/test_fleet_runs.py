@@ -17,7 +17,7 @@ from jaxplore.control.stops import LOST
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.localisation import Localiser, Odometry
 from jaxplore.maps.clearance import clearance_field
-from jaxplore.parts import IdlenessMap, KeepOut
+from jaxplore.parts import IdlenessMap, KeepOut, Targets
 from jaxplore.parts.watch.report import WatchRecord, WatchReport
 from jaxplore.parts.wheels.report import WheelRecord, WheelReport
 from jaxplore.report.compute import Timing
@@ -100,8 +100,14 @@ def mixed(alone, drive, run):
     numbers["parts"] = [IdlenessMap(20.0), KeepOut([area])]
     perception = Perception(lidar, 0.1, 0.12, **numbers)
     rates = {"control_rate": 20.0, "field_rate": 4.0, "localisation": LOCALISATION}
+    rates["truths"] = [Targets(TARGETS)]
     other = ExplorationScenario(
-        alone.world, robot, lidar, STARTS[1], perception=perception, targets=TARGETS, **rates
+        alone.world,
+        robot,
+        lidar,
+        STARTS[1],
+        perception=perception,
+        **rates,
     ).with_guard(MotionGuard())
     other = other.with_variation(VARIATION)
     alone = ExplorationScenario(
@@ -110,7 +116,6 @@ def mixed(alone, drive, run):
         alone.sensors,
         STARTS[0],
         perception=Perception(alone.sensors, 0.1, alone.robot.radius, **numbers),
-        targets=TARGETS,
         **rates,
     ).with_guard(MotionGuard())
     one = drive(has_others=True)
@@ -201,21 +206,30 @@ def test_a_target_counts_when_any_robot_has_it_in_sight(mixed) -> None:
     is_near = np.stack([each < most for each, most in zip(away, ranges, strict=True)]).any(axis=0)
     first = next(k for k in range(0, 50, 2) if is_near[k])
     assert first > 0
-    assert int(np.argmax(records.targets_seen >= 1)) == first
+    seen, judged = records.parts["targets"].targets_seen, state.task.judged
+    assert int(np.argmax(seen >= 1)) == first
     # The other one is behind the wall.
-    assert records.targets_seen.max() == 1
-    assert state.task.is_seen.tolist() == [True, False]
+    assert seen.max() == 1
+    assert judged["targets"].tolist() == [True, False]
     assert not bool(fleet.is_finished(state.task))
-    assert bool(fleet.is_finished(state.task._replace(is_seen=jnp.ones(2, bool))))
+    found = state.task._replace(judged={**judged, "targets": jnp.ones(2, bool)})
+    assert bool(fleet.is_finished(found))
     # It is not given up, however long nothing new is seen.
     gain = state.task.gain._replace(since=jnp.asarray(1e6))
     assert not bool(fleet.is_given_up(state.task._replace(gain=gain)))
 
 
 def test_robots_look_for_the_same_targets(alone) -> None:
-    other = eqx.tree_at(lambda each: each.targets, alone, jnp.ones((1, 2)))
+    one, other = (
+        ExplorationScenario(
+            alone.world, alone.robot, alone.sensors, STARTS[0], truths=[Targets([spot])]
+        )
+        for spot in TARGETS
+    )
     with pytest.raises(ValueError, match=r"targets of robots\[1\] differ; accepted: those of"):
-        Fleet([alone, other], STARTS[:2])
+        Fleet([one, other], STARTS[:2])
+    with pytest.raises(ValueError, match=r"truths of robots\[1\] are \[\]; accepted: .*'targets'"):
+        Fleet([one, alone], STARTS[:2])
 
 
 def test_robots_in_range_know_the_same_and_those_out_of_range_do_not(paired) -> None:

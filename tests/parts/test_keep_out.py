@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import DifferentialDrive, ExplorationScenario, Lidar, OccupancyGrid, Perception
-from jaxplore.parts import KeepOut
+from jaxplore.parts import KeepOut, Targets
 
 SHAPE, SIDE = (20, 30), 0.2
 LIDAR, ROBOT = Lidar(36, 2.0), DifferentialDrive(max_speed=1.0, radius=0.15)
@@ -146,8 +146,8 @@ def test_an_area_over_the_start_or_around_all_targets_is_named() -> None:
     with pytest.raises(ValueError, match=r"start is \(2.5, 2\), in a keep-out area; accepted: out"):
         scenario(start=(2.5, 2.0, 0.0))
     with pytest.raises(ValueError, match="targets are 2, all in keep-out areas; accepted: one out"):
-        scenario(targets=[(2.4, 2.0), (2.6, 2.0)])
-    assert scenario(targets=[(2.4, 2.0), (4.6, 2.0)]).num_targets == 2
+        scenario(truths=[Targets([(2.4, 2.0), (2.6, 2.0)])])
+    assert scenario(truths=[Targets([(2.4, 2.0), (4.6, 2.0)])]).ends_by_parts
     area = [KeepOut([BOX])]
     to_box = Perception(LIDAR, SIDE, ROBOT.radius, parts=area, goal=(2.5, 2.0), **NUMBERS)
     with pytest.raises(ValueError, match=r"goal is .*which a robot of radius 0.15 m cannot reach"):

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw
 
 from jaxplore.control.base import Members
+from jaxplore.parts.targets.report import TargetRecord, TargetReport
 from jaxplore.parts.watch.report import WatchRecord, WatchReport
 from jaxplore.parts.wheels.report import WheelRecord, WheelReport
 from jaxplore.report.compute import Timing
@@ -94,7 +95,6 @@ def make_recording() -> Callable[..., ExplorationRecording]:
                     heading=float(pose[2]),
                     reference=np.zeros((0, 2), np.float32),
                     movers=np.zeros((0, 2), np.float32),
-                    is_found=np.zeros(0, bool),
                     terms={"ControlCost": 1.0},
                     sample_terms=dict(SAMPLE_TERMS),
                 )
@@ -112,7 +112,6 @@ def make_recording() -> Callable[..., ExplorationRecording]:
             effective_sample_size=np.full(steps, 8.0, np.float32),
             is_finite=np.ones(steps, bool),
             is_faulty=np.zeros(steps, bool),
-            targets_seen=np.zeros(steps, np.int32),
             parts={},
             members=None,
         )
@@ -141,7 +140,6 @@ def make_recording() -> Callable[..., ExplorationRecording]:
             target_coverage=float(np.float32(0.99)),
             is_interrupted=False,
             footprint=np.zeros((0, 2)),
-            targets=np.zeros((0, 2), np.float32),
             elevation=None,
             traversable=None,
             mover_radii=np.zeros(0),
@@ -181,9 +179,7 @@ def ground_vehicle(recording: ExplorationRecording) -> ExplorationRecording:
     for frame in recording.frames:
         share = frame.step / max(steps, 1)
         movers = turned(np.array([[0.3 + 0.3 * share, 0.75], [0.7, 0.25]]) * (width, height), pose)
-        # In the order of the targets: one more after every third step.
-        is_found = np.arange(3) < max(frame.step - 1, 0) // 3
-        frames.append(dataclasses.replace(frame, movers=movers, is_found=is_found))
+        frames.append(dataclasses.replace(frame, movers=movers))
     k = np.arange(steps, dtype=np.float32)
     never = np.full(steps, np.inf, np.float32)
 
@@ -206,27 +202,54 @@ def ground_vehicle(recording: ExplorationRecording) -> ExplorationRecording:
         is_tipped=k >= steps - 1,
     )
     records = recording.records._replace(
-        targets_seen=np.minimum(np.arange(steps) // 3, 3).astype(np.int32),
         is_untraversable=k >= steps - 2,
         parts={"watch": WatchRecord(k, worst), "wheels": wheels},
         members=members,
     )
     traversable = (column < 0.6 * columns) | (row < 0.6 * rows)
     idleness = np.where(column < columns / 2, 0.1 * column, np.inf).astype(np.float32)
-    return dataclasses.replace(
+    run = dataclasses.replace(
         recording,
         records=records,
         frames=tuple(frames),
         target_coverage=None,
         finished_step=None,
         footprint=CORNERS,
-        targets=targets,
         elevation=(0.05 * column + 0.02 * row).astype(np.float32),
         traversable=traversable,
         parts={"watch": WatchReport(idleness, is_patrol=False), "wheels": WheelReport()},
         mover_radii=np.array([0.2, 0.3], np.float32),
         member_names=MEMBERS,
     )
+    # In the order of the targets: one more after every third step.
+    seen = np.minimum(np.arange(steps) // 3, 3)
+    return as_search(run, targets, seen, lambda step: np.arange(3) < max(step - 1, 0) // 3)
+
+
+def as_search(
+    run: ExplorationRecording,
+    places: np.ndarray,
+    seen: np.ndarray,
+    is_found: Callable[[int], np.ndarray],
+    how: str = "seen",
+) -> ExplorationRecording:
+    """Return a run that looks for targets: how many were seen, and which ones before each step."""
+    own = {"targets": TargetRecord(np.asarray(seen, np.int32))}
+    frames = tuple(
+        dataclasses.replace(
+            each, parts={**each.parts, "targets": {"is_found": is_found(each.step)}}
+        )
+        for each in run.frames
+    )
+    records = run.records._replace(parts={**own, **run.records.parts})
+    parts = {"targets": TargetReport(places, how), **run.parts}
+    return dataclasses.replace(run, records=records, frames=frames, parts=parts)
+
+
+@pytest.fixture
+def make_search() -> Callable[..., ExplorationRecording]:
+    """Return the maker of runs that look for targets."""
+    return as_search
 
 
 @pytest.fixture
@@ -432,7 +455,6 @@ def fleet_run(recording: ExplorationRecording) -> ExplorationRecording:
         effective_sample_size=ones,
         is_finite=np.ones(steps, bool),
         is_faulty=np.zeros(steps, bool),
-        targets_seen=np.zeros(steps, np.int32),
         parts={
             "team": TeamRecord(shares, np.zeros((steps, 2), bool), ones, np.ones(steps, np.int32))
         },
@@ -492,8 +514,8 @@ def fleet_run(recording: ExplorationRecording) -> ExplorationRecording:
 def as_patrol(run: ExplorationRecording) -> ExplorationRecording:
     """Return a run with a watch without its targets: it is judged by its idleness."""
     watch = dataclasses.replace(run.parts["watch"], is_patrol=True)
-    nothing = np.zeros((0, 2), np.float32)
-    return dataclasses.replace(run, targets=nothing, parts={**run.parts, "watch": watch})
+    parts = {name: each for name, each in run.parts.items() if name != "targets"}
+    return dataclasses.replace(run, parts={**parts, "watch": watch})
 
 
 @pytest.fixture

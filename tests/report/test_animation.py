@@ -240,8 +240,7 @@ def test_a_known_map_shows_idleness_targets_or_distance_and_not_coverage(
     assert headline(seen_at_once) == ["100.0 %", "covered"]
     known = dataclasses.replace(seen_at_once, initial_unknown=0.0)
     assert headline(known) == ["3", "targets found"]
-    frames = tuple(dataclasses.replace(each, is_found=np.zeros(0, bool)) for each in known.frames)
-    patrol = dataclasses.replace(make_patrol(known), frames=frames)
+    patrol = make_patrol(known)
     assert headline(patrol) == ["9.0 s", "mean idleness"]
     assert headline(dataclasses.replace(patrol, parts={})) == ["2.0 m", "driven"]
 
@@ -279,10 +278,11 @@ def test_a_larger_scale_is_drawn_and_not_enlarged(recording):
 def test_found_targets_have_another_shape(make_recording, make_vehicle):
     vehicle = make_vehicle(make_recording([(0.6, 0.5), (0.8, 0.5)], [0.5], num_frames=2))
     missing, found = (
-        spots(bare(vehicle, is_found=np.full(3, value)), TARGET) for value in (False, True)
+        spots(bare(vehicle, parts={"targets": {"is_found": np.full(3, value)}}), TARGET)
+        for value in (False, True)
     )
     # A ring is closed where a star has its gaps, which the halves of its tips do not fill.
-    for target in vehicle.targets:
+    for target in vehicle.parts["targets"].places:
         around = []
         for each in (missing, found):
             offset = each - target

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from jaxplore.parts.targets.report import TargetMetrics
 from jaxplore.parts.watch.report import WatchMetrics
 from jaxplore.report.compute import Compute
 from jaxplore.report.drawing.film import FilmOptions
@@ -76,6 +77,10 @@ def to_90(seconds: float | None) -> dict[str, float | None]:
 def watched(mean: float | None, worst: float | None, *, is_patrol: bool = True):
     metrics = WatchMetrics(mean_idleness=mean, worst_idleness=worst, is_patrol=is_patrol)
     return {"watch": metrics}
+
+
+def sought(seen: int, number: int) -> dict[str, TargetMetrics]:
+    return {"targets": TargetMetrics(number=number, seen=seen, last_at=None, how="seen")}
 
 
 def timed(milliseconds: float) -> Compute:
@@ -168,20 +173,22 @@ def test_columns_for_missions_appear_where_any_run_has_them(make: Make) -> None:
     plain = Comparison({"it": make(collisions=[0, 1])}, {})
     assert not set(added) & set(plain.rows()[0])
     searched = make(
-        num_targets=[5, 5, 5],
-        targets_seen=[4, 3, 5],
-        parts=[watched(7.5, 20.0), watched(8.5, 20.0), watched(9.5, 20.0)],
+        parts=[
+            watched(7.5, 20.0) | sought(4, 5),
+            watched(8.5, 20.0) | sought(3, 5),
+            watched(9.5, 20.0) | sought(5, 5),
+        ],
         untraversable_steps=[0, 2, 1],
     )
-    same = make(num_targets=[5], targets_seen=[4], parts=[watched(None, None)])
+    same = make(parts=[watched(None, None) | sought(4, 5)])
     comparison = Comparison({"a": searched, "b": same}, {})
     header, *rows = comparison.rows()
     a, b = (dict(zip(header, row, strict=True)) for row in rows)
     assert [a[name] for name in added] == ["4.0 [3.5, 4.5]", "8.5 [8.0, 9.0]", "20.0", "3"]
     assert [b[name] for name in added] == ["4.0", "-", "-", "0"]
     plain_values = comparison.as_dict()["summaries"]
-    assert plain_values["a"]["targets_seen"] == [3.5, 4.0, 4.5]
-    assert plain_values["a"]["num_targets"] == 5
+    assert plain_values["a"]["targets.seen"] == [3.5, 4.0, 4.5]
+    assert plain_values["a"]["targets.number"] == 5
     assert plain_values["a"]["untraversable_steps"] == 3
     assert plain_values["b"]["watch.mean_idleness"] == [None, None, None]
     json.dumps(comparison.as_dict(), allow_nan=False)
@@ -469,11 +476,11 @@ def test_curves_and_films_of_a_known_map_show_no_coverage(make: Make) -> None:
     known = {"initial_unknown": [0.01]}
     assert labels(**known, parts=[watched(1.5, 2.0)]) == ["mean idleness [s]"]
     searching = watched(1.5, 2.0, is_patrol=False)
-    assert labels(**known, parts=[searching], num_targets=[2]) == ["targets found"]
+    assert labels(**known, parts=[searching | sought(1, 2)]) == ["targets found"]
     unknown = {"initial_unknown": [0.02]}
     both = ["coverage of reachable cells [%]", "unknown reachable cells [%]"]
     assert labels(**unknown) == both
-    assert labels(**unknown, num_targets=[2]) == [*both, "targets found"]
+    assert labels(**unknown, parts=[sought(1, 2)]) == [*both, "targets found"]
     # One scan may see all of a small room that nobody knew.
     at_once = {str(level): 0.0 for level in (50, 90, 95, 99)}
     assert labels(time_to=[at_once]) == both
@@ -487,7 +494,7 @@ def test_ticks_of_found_targets_are_whole_numbers(make: Make, most: float) -> No
         "unknown": [1.0, 0.5, 0.0],
         "targets": [0.0, 0.0, most],
     }
-    runs = make(duration=[2.0], coverage_curve=[times], num_targets=[int(most)])
+    runs = make(duration=[2.0], coverage_curve=[times], parts=[sought(0, int(most))])
     figure = curves_figure({"it": runs})
     ticks = figure.axes[-1].get_yticks()
     assert figure.axes[-1].get_ylabel() == "targets found"

@@ -103,5 +103,5 @@ def test_docks_and_the_goal_are_shown(fleet_run) -> None:
     shown = server.drawn["/targets/goal"].vertices[:, :2].mean(axis=0)
     np.testing.assert_allclose(shown, goal, atol=1e-5)
     np.testing.assert_allclose(
-        server.drawn["/objects/1"].vertices[:, :2].mean(axis=0), docks.docks[1], atol=1e-5
+        server.drawn["/targets/marks/1"].vertices[:, :2].mean(axis=0), docks.docks[1], atol=1e-5
     )

@@ -28,21 +28,14 @@ def test_levels_are_timed_at_the_beginning_of_the_step_that_records_them(recordi
     assert metrics.reachable_area == pytest.approx(18 * 28 * 0.01)
 
 
-def test_a_search_by_a_fleet_counts_its_targets(fleet_run):
-    seen = np.array([0, 0, 1, 1, 2, 2])
-    searched = dataclasses.replace(
-        fleet_run,
-        records=fleet_run.records._replace(targets_seen=seen),
-        targets=np.array([[0.5, 0.5], [1.5, 1.0]]),
-        frames=tuple(
-            dataclasses.replace(each, is_found=np.array([each.step > 2, each.step > 4]))
-            for each in fleet_run.frames
-        ),
-    )
+def test_a_search_by_a_fleet_counts_its_targets(fleet_run, make_search):
+    seen, places = np.array([0, 0, 1, 1, 2, 2]), np.array([[0.5, 0.5], [1.5, 1.0]])
+    searched = make_search(fleet_run, places, seen, lambda step: np.array([step > 2, step > 4]))
     metrics = searched.metrics()
-    assert (metrics.num_targets, metrics.targets_seen) == (2, 2)
+    own = metrics.parts["targets"]
+    assert (own.number, own.seen) == (2, 2)
     # The record of step 4 has what was seen at its beginning.
-    assert metrics.last_target_at == pytest.approx(0.4)
+    assert own.last_at == pytest.approx(0.4)
     assert ("targets", "2 of 2 seen, the last at 0.40 s") in metrics.rows()
     curves = searched.live_curves
     assert curves.names == ("robot 1", "robot 2", "together", "targets found")
@@ -54,9 +47,9 @@ def test_a_search_by_a_fleet_counts_its_targets(fleet_run):
     labels = searched.figures()["map"]().axes[0].get_legend_handles_labels()[1]
     assert "target found" in labels
     moved = searched.move(np.array([10.0, 20.0]))
-    np.testing.assert_allclose(moved.targets, searched.targets + np.array([10.0, 20.0]))
+    np.testing.assert_allclose(moved.parts["targets"].places, places + np.array([10.0, 20.0]))
     without = fleet_run.metrics()
-    assert (without.num_targets, without.last_target_at) == (0, None)
+    assert "targets" not in without.parts
     assert "targets" not in dict(without.rows())
 
 
@@ -204,12 +197,14 @@ def test_unknown_without_a_step_is_what_it_was_at_the_start(no_step) -> None:
 
 def test_targets_are_counted_and_the_last_of_all_is_timed(vehicle) -> None:
     # One more is seen at the beginning of steps 3, 6 and 9, half a second each.
-    metrics = compute_metrics(vehicle)
-    assert (metrics.num_targets, metrics.targets_seen, metrics.last_target_at) == (3, 3, 4.5)
-    fewer = np.minimum(np.asarray(vehicle.records.targets_seen), 2)
-    records = vehicle.records._replace(targets_seen=fewer)
+    own = compute_metrics(vehicle).parts["targets"]
+    assert (own.number, own.seen, own.last_at) == (3, 3, 4.5)
+    record = vehicle.records.parts["targets"]
+    fewer = record._replace(targets_seen=np.minimum(record.targets_seen, 2))
+    records = vehicle.records._replace(parts={**vehicle.records.parts, "targets": fewer})
     metrics = compute_metrics(dataclasses.replace(vehicle, records=records))
-    assert (metrics.num_targets, metrics.targets_seen, metrics.last_target_at) == (3, 2, None)
+    own = metrics.parts["targets"]
+    assert (own.number, own.seen, own.last_at) == (3, 2, None)
     assert ("targets", "2 of 3 seen") in metrics.rows()
 
 
@@ -266,9 +261,9 @@ def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle, make_p
     assert full["members"] == "0.250 apart, replaced in 20.0 % of the steps"
     assert full["  bold"] == "27.5 %, 5.5 effective, uncertainty 0.125"
     metrics = compute_metrics(recording)
-    assert (metrics.num_targets, metrics.targets_seen, metrics.untraversable_steps) == (0, 0, 0)
+    assert metrics.untraversable_steps == 0
     assert metrics.parts == {}
-    for name in ("last_target_at", "members", "diversity"):
+    for name in ("members", "diversity"):
         assert getattr(metrics, name) is None
     assert metrics.replaced is None
 
@@ -296,22 +291,22 @@ def test_a_run_is_reported_by_what_it_is_judged_by(
     assert dict(compute_metrics(no_step).rows())["  to 99 %"] == "not reached"
 
 
-def test_a_run_that_has_no_end_is_neither_finished_nor_unfinished(recording) -> None:
+def test_a_run_that_has_no_end_is_neither_finished_nor_unfinished(recording, make_search) -> None:
     patrol = dataclasses.replace(recording, target_coverage=None, finished_step=None)
     metrics = compute_metrics(patrol)
     assert metrics.target_coverage is None
     assert not metrics.is_finished
     assert "finished" not in str(metrics)
-    searching = dataclasses.replace(patrol, targets=np.ones((2, 2), np.float32))
+    searching = make_search(patrol, np.ones((2, 2)), np.zeros(10), lambda _: np.zeros(2, bool))
     assert "not finished" in str(compute_metrics(searching))
     found = compute_metrics(dataclasses.replace(searching, finished_step=8))
     assert (found.is_finished, found.finished_at) == (True, 4.0)
 
 
-def test_a_search_without_a_step_is_not_over_because_the_map_is_known(no_step) -> None:
+def test_a_search_without_a_step_is_not_over_because_the_map_is_known(no_step, make_search) -> None:
     known = dataclasses.replace(no_step, initial_coverage=1.0)
     assert compute_metrics(known).finished_at == 0.0
-    searching = dataclasses.replace(known, targets=np.ones((1, 2), np.float32))
+    searching = make_search(known, np.ones((1, 2)), np.zeros(0), lambda _: np.zeros(1, bool))
     assert compute_metrics(searching).finished_at is None
 
 
@@ -321,8 +316,9 @@ def test_everything_is_json_with_and_without_a_step(vehicle, no_step, make_vehic
         plain = metrics.as_dict()
         assert json.loads(json.dumps(plain, allow_nan=False)) == plain
         str(metrics)
-    assert metrics.members is metrics.parts["watch"].mean_idleness is metrics.last_target_at is None
-    assert (metrics.num_targets, metrics.targets_seen) == (3, 0)
+    own = metrics.parts["targets"]
+    assert metrics.members is metrics.parts["watch"].mean_idleness is own.last_at is None
+    assert (own.number, own.seen) == (3, 0)
 
 
 def test_stops_are_counted_for_each_robot() -> None:

@@ -32,19 +32,17 @@ OBJECTS = ObjectReport(
 
 
 @pytest.fixture
-def search(make_recording):
+def search(make_recording, make_search):
     run = make_recording([(0.5, 1.0), (1.0, 1.2), (1.5, 0.7)] * 2, [0.2] * 5)
     known = np.where(np.isfinite(OBJECTS.detected_at)[:, None], OBJECTS.probability, np.nan)
     is_found = np.array([True, False])
-    frames = tuple(
-        dataclasses.replace(each, parts=shown(known), is_found=is_found) for each in run.frames
-    )
-    parts = {"detector": OBJECTS}
-    return dataclasses.replace(run, frames=frames, targets=OBJECTS.place[:2], parts=parts)
+    frames = tuple(dataclasses.replace(each, parts=shown(known)) for each in run.frames)
+    run = dataclasses.replace(run, frames=frames, parts={"detector": OBJECTS})
+    return make_search(run, OBJECTS.place[:2], np.ones(5), lambda _: is_found, "recognised")
 
 
 def shown(classes: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
-    return {"detector": {"classes": classes}}
+    return {"detector": {"classes": classes}, "targets": {"is_found": np.array([True, False])}}
 
 
 def test_metrics_tell_what_was_reported_and_what_was_wrong(search) -> None:

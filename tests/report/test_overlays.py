@@ -54,7 +54,7 @@ def test_what_there_is_has_a_name_and_the_title_counts_targets(recording, vehicl
     [
         ("elevation", None, "height [m]"),
         ("traversable", None, "not traversable"),
-        ("targets", np.zeros((0, 2), np.float32), "target"),
+        ("parts", {}, "target"),
         ("mover_radii", np.zeros(0), "moving obstacle"),
     ],
 )
@@ -110,7 +110,7 @@ def test_movers_targets_and_the_robot_are_where_they_belong(make_recording, make
     np.testing.assert_allclose(line(axes, "target").get_xydata(), spots, atol=1e-5)
     assert "target found" not in [each.get_label() for each in axes.lines]
     is_found = np.array([True, False, True])
-    last = dataclasses.replace(run.frames[-1], is_found=is_found)
+    last = dataclasses.replace(run.frames[-1], parts={"targets": {"is_found": is_found}})
     drawn = map_figure(dataclasses.replace(run, frames=(*run.frames[:-1], last))).axes[0]
     for label, some in (("target", ~is_found), ("target found", is_found)):
         np.testing.assert_allclose(line(drawn, label).get_xydata(), spots[some], atol=1e-5)

@@ -169,7 +169,7 @@ def test_an_exploration_is_recorded_as_it_was(vehicle, controller, tmp_path: Pat
         for each in objects["moving obstacles"].cylinders
     ]
     np.testing.assert_allclose(movers, np.column_stack([frame.movers, vehicle.mover_radii]))
-    assert len(objects["targets"].cylinders) == len(vehicle.targets)
+    assert len(objects["parts"].cylinders) == len(vehicle.parts["targets"].places)
     plan = {each.id: each for each in of(messages, "/plan")[-1].content.entities}
     points = [(point.x, point.y) for point in plan["plan"].lines[0].points]
     np.testing.assert_array_equal(np.float32(points), frame.plan)
@@ -305,16 +305,11 @@ def test_a_volume_is_recorded_with_its_voxels(recording, controller, tmp_path: P
 
 
 def test_a_fleet_is_recorded_with_each_robot_under_its_name(
-    fleet_run, controller, tmp_path: Path
+    fleet_run, controller, tmp_path: Path, make_search
 ) -> None:
-    frames = tuple(
-        dataclasses.replace(each, is_found=np.array([each.step > 0, False]))
-        for each in fleet_run.frames
-    )
-    targets = np.array([[0.5, 0.2], [1.0, 0.7]])
-    seen = fleet_run.records._replace(targets_seen=np.ones(fleet_run.num_steps, np.int32))
-    run = dataclasses.replace(fleet_run, frames=frames, targets=targets, records=seen)
-    steps = run.num_steps
+    steps, targets = fleet_run.num_steps, np.array([[0.5, 0.2], [1.0, 0.7]])
+    run = make_search(fleet_run, targets, np.ones(steps), lambda step: np.array([step > 0, False]))
+    frames = run.frames
     recorder = record(run, tmp_path / "run.mcap", controller)
     assert recorder.failure is None
     messages = read(tmp_path / "run.mcap")
@@ -359,7 +354,7 @@ def test_a_fleet_is_recorded_with_each_robot_under_its_name(
         for message in of(messages, "/objects")
     ]
     assert [len(lines) for lines in linked] == [0, 1, 1]
-    marks = {each.id: each for each in of(messages, "/objects")[-1].content.entities}["targets"]
+    marks = {each.id: each for each in of(messages, "/objects")[-1].content.entities}["parts"]
     places = [(each.pose.position.x, each.pose.position.y) for each in marks.cylinders]
     np.testing.assert_allclose(places, targets)
     assert marks.cylinders[0].color != marks.cylinders[1].color

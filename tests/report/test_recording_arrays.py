@@ -77,7 +77,7 @@ def test_a_process_that_knows_no_part_reads_what_a_run_shows_of_its_parts(vehicl
     )
     command = [sys.executable, "-c", code]
     told = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
-    assert told.stdout.strip() == "['WatchReport', 'WheelReport']"
+    assert told.stdout.strip() == "['TargetReport', 'WatchReport', 'WheelReport']"
 
 
 def test_only_modules_of_parts_are_imported(vehicle) -> None:

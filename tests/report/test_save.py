@@ -89,7 +89,7 @@ def test_the_explored_map_is_a_ros_map(make_recording, tmp_path):
     np.testing.assert_array_equal(np.float32(origin), recording.origin)
 
 
-OPTIONAL = ["targets", "elevation", "traversable", "mover_radii", "footprint"]
+OPTIONAL = ["elevation", "traversable", "mover_radii", "footprint"]
 
 
 def test_arrays_hold_what_a_ground_vehicle_has_besides(recording, vehicle, tmp_path):
@@ -105,13 +105,13 @@ def test_arrays_hold_what_a_ground_vehicle_has_besides(recording, vehicle, tmp_p
         assert tuple(arrays["member_names"]) == vehicle.member_names
         for name in OPTIONAL:
             np.testing.assert_array_equal(arrays[name], getattr(vehicle, name))
-        for name in ("targets_seen", "is_untraversable"):
-            np.testing.assert_array_equal(arrays[name], getattr(vehicle.records, name))
+        np.testing.assert_array_equal(arrays["is_untraversable"], vehicle.records.is_untraversable)
         parts = {}
         for record in vehicle.records.parts.values():
             parts |= record._asdict()
-        assert {"mean_idleness", "is_tipped"} <= set(parts)
+        assert {"mean_idleness", "is_tipped", "targets_seen"} <= set(parts)
         parts["idleness"] = vehicle.parts["watch"].idleness
+        parts["targets"] = vehicle.parts["targets"].places
         for name, rows in parts.items():
             np.testing.assert_array_equal(arrays[name], rows)
         added = {f"members_{name}" for name in members} | {"member_names", *OPTIONAL, *parts}

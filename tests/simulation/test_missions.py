@@ -27,7 +27,7 @@ from jaxplore.geometry import Chassis
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
-from jaxplore.parts import IdlenessMap
+from jaxplore.parts import IdlenessMap, Targets
 from jaxplore.parts.wheels.truth import TIPPING_TIME, TRACTION, Wheels
 from jaxplore.report.drawing.colours import TARGET
 from jaxplore.simulation.exploration.part_truth import Drive
@@ -121,9 +121,8 @@ def scenario(
         control_rate=1.0 / PERIOD,
         sensing_rate=0.5 / PERIOD,
         field_rate=0.25 / PERIOD,
-        targets=targets,
         moving_obstacles=None if mover is None else MovingObstacles([mover]),
-        truths=[Wheels(chassis)],
+        truths=[Wheels(chassis), *([] if targets is None else [Targets(targets)])],
         **more,
     )
 
@@ -192,7 +191,7 @@ def test_targets_count_as_seen_when_they_are_in_sight_of_the_first_sensor(search
         if step % 2 == 0:
             seen |= [is_visible(hall(True), state[:3], spot, AHEAD) for spot in SPOTS]
         expected.append(seen.sum())
-    np.testing.assert_array_equal(outcome.records.targets_seen, expected)
+    np.testing.assert_array_equal(outcome.records.parts["targets"].targets_seen, expected)
     # One after the other, and not at once.
     assert sorted(set(expected)) == [1, 2, 3, 4]
 
@@ -203,12 +202,12 @@ def test_the_picture_of_an_environment_has_stars_and_found_targets(search) -> No
     observed = outcome.state.observed
     moment = Moment(jnp.int32(0), jnp.float32(0.0), observed, jnp.array(False), jnp.array(False))
     trail = np.asarray(observed[:2])[None]
-    is_seen = np.arange(given.num_targets) % 2 == 0
-    image = view.picture(
-        task._replace(judged=task.judged._replace(is_seen=jnp.asarray(is_seen))), moment, trail
-    )
+    places = np.asarray(SPOTS)
+    is_seen = np.arange(len(places)) % 2 == 0
+    truths = {**task.truths, "targets": jnp.asarray(is_seen)}
+    image = view.picture(task._replace(truths=truths), moment, trail)
     side = image.shape[0] / (SHAPE[0] * RESOLUTION)
-    for (x, y), found in zip(np.asarray(given.targets).tolist(), is_seen, strict=True):
+    for (x, y), found in zip(places.tolist(), is_seen, strict=True):
         row, column = image.shape[0] - round(y * side), round(x * side)
         around = image[row - 8 : row + 9, column - 8 : column + 9]
         is_sign = (np.abs(around.astype(int) - np.asarray(TARGET)) < 12).all(axis=-1)
@@ -219,7 +218,7 @@ def test_the_picture_of_an_environment_has_stars_and_found_targets(search) -> No
 
 def test_the_run_is_over_when_all_targets_are_seen(search) -> None:
     given, outcome = search
-    seen = outcome.records.targets_seen
+    seen = outcome.records.parts["targets"].targets_seen
     assert len(seen) < 160
     assert seen[-1] == len(SPOTS)
     assert (seen[:-1] < len(SPOTS)).all()

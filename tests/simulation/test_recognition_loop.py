@@ -9,7 +9,7 @@ import pytest
 from jaxplore import DifferentialDrive, ExplorationScenario, Lidar, OccupancyGrid, Perception
 from jaxplore.control.base import Controller, Info
 from jaxplore.maps import LabelledObject
-from jaxplore.parts import Recognition
+from jaxplore.parts import Recognition, Targets
 from jaxplore.parts.recognition.truth import Objects
 from jaxplore.sensing import Detector
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
@@ -62,8 +62,8 @@ def scenario(objects=OTHERS, recognition=None, **more) -> ExplorationScenario:
         control_rate=20.0,
         sensing_rate=10.0,
         field_rate=5.0,
-        truths=[] if objects is None else [Objects(objects)],
-        **{"targets": TARGETS} | more,
+        truths=[*([] if objects is None else [Objects(objects)]), Targets(TARGETS)],
+        **more,
     )
 
 
@@ -83,14 +83,15 @@ def test_a_target_is_found_when_it_was_reported_and_not_when_it_is_seen(search) 
     given, state, records = search
     objects = state.task.belief.parts["detector"]
     at = np.asarray(objects.reported_at)[:2, 1]
-    time = np.arange(len(records.targets_seen)) * given.period
+    seen = records.parts["targets"].targets_seen
+    time = np.arange(len(seen)) * given.period
     # The record of a step holds what was measured at its beginning.
     expected = (time[:, None] >= at - 1e-6).sum(axis=1)
-    np.testing.assert_array_equal(records.targets_seen, expected)
+    np.testing.assert_array_equal(seen, expected)
     assert (at > np.asarray(objects.detected_at)[:2]).all()
     assert (np.asarray(objects.looks)[:2] > 1).all()
     # The search is over with the last report.
-    assert len(records.targets_seen) < STEPS
+    assert len(seen) < STEPS
     assert expected[-1] == 2
 
 

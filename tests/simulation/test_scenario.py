@@ -1,6 +1,7 @@
 import itertools
 import math
 from collections import deque
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +29,7 @@ from jaxplore.belief.car import car_motion
 from jaxplore.geometry import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.collision import clearance_reach, disc_clearance
+from jaxplore.parts import Targets
 from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
 
 pytestmark = pytest.mark.long
@@ -278,13 +280,6 @@ TERRAIN = TerrainMap(GRID, Ground(np.zeros((30, 30)), 0.1, traversability=CLIFF)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"targets": [(2.5, 1.05)]}, r"targets\[0\] is \[2.5, 1.0.*\]; accepted: a place in free"),
-        ({"targets": [(0.5, 0.5), (1.5, 2.05)]}, r"targets\[1\] is .*; accepted: a place in free"),
-        ({"targets": [(0.5, 0.5), (3.5, 0.5)]}, r"targets\[1\] is \[3.5, 0.5\]; accepted"),
-        ({"targets": [(0.5, math.nan)]}, r"targets\[0\] is \[0.5, nan\]; accepted"),
-        ({"targets": [(0.5, 0.5, 0.0)]}, r"targets has shape \(1, 3\); accepted: \(M, 2\)"),
-        ({"targets": np.zeros((0, 2))}, r"targets has shape \(0, 2\); accepted: .* M >= 1"),
-        ({"targets": (0.5, 0.5)}, r"targets has shape \(2,\); accepted: \(M, 2\)"),
         ({"tracking_noise": (0.1,)}, "tracking_noise is .*; accepted: 2 finite numbers"),
         # Free, but behind the wall.
         ({"goal": (1.5, 1.5)}, r"goal is \[1.5, 1.5\], which a robot of radius 0.2 m cannot reach"),
@@ -301,6 +296,23 @@ def test_what_cannot_be_seen_or_reached_is_named(arguments: dict, message: str) 
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("places", "message"),
+    [
+        ([(2.5, 1.05)], r"targets\[0\] is \[2.5, 1.0.*\]; accepted: a place in free"),
+        ([(0.5, 0.5), (1.5, 2.05)], r"targets\[1\] is .*; accepted: a place in free"),
+        ([(0.5, 0.5), (3.5, 0.5)], r"targets\[1\] is \[3.5, 0.5\]; accepted"),
+        ([(0.5, math.nan)], r"targets\[0\] is \[0.5, nan\]; accepted"),
+        ([(0.5, 0.5, 0.0)], r"places has shape \(1, 3\); accepted: \(M, 2\)"),
+        (np.zeros((0, 2)), r"places has shape \(0, 2\); accepted: .* M >= 1"),
+        ((0.5, 0.5), r"places has shape \(2,\); accepted: \(M, 2\)"),
+    ],
+)
+def test_targets_that_cannot_be_seen_are_named(places: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        scenario(truths=[Targets(places)])
+
+
 def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
     assert scenario(goal=(1.5, 0.97), goal_radius=0.25).goal is not None
     # Across the wall, but near enough.
@@ -312,8 +324,9 @@ def test_no_sensor_and_no_mover() -> None:
         ExplorationScenario(GRID, ROBOT, (), START)
     assert scenario(moving_obstacles=MovingObstacles.none()).moving_obstacles is None
     assert scenario().moving_obstacles is None
-    assert scenario().num_targets == 0
-    assert scenario(targets=[(0.5, 0.5), (0.7, 0.5)]).num_targets == 2
+    assert scenario().truths == ()
+    (found,) = scenario(truths=[Targets([(0.5, 0.5), (0.7, 0.5)])]).truths
+    assert found.number == 2
 
 
 def test_several_sensors_are_kept_in_their_order() -> None:

@@ -70,7 +70,7 @@ class Part(eqx.Module):
     is_revisiting: ClassVar[bool] = True
     """Whether places must be seen again for it, so that none is given up."""
     is_patrol: ClassVar[bool] = False
-    """Whether a run of a robot with it ends by nothing but targets, unless another end is given."""
+    """Whether the map is no end of a run of a robot with it, unless that is asked for."""
 
     def check(self, sensors: Sequence[Sensor], ground: Ground | None) -> None:
         """Check that a robot with these sensors on this ground can have the part.
@@ -158,6 +158,16 @@ class Part(eqx.Module):
         """
         return None
 
+    def found(self, own: Any) -> Bool[Array, " N"] | None:
+        """Return which of the things that are looked for have been found by the part, or None.
+
+        It is for a part that finds them another way than by having them in sight.
+
+        Args:
+            own: the state.
+        """
+        return None
+
     def errand(self, own: Any) -> Errand | None:
         """Return the place to which the robot is sent, and whether it must go there; or None.
 
@@ -212,6 +222,11 @@ class Part(eqx.Module):
     def closes_cells(self) -> bool:
         """Whether there are cells that the robot must not enter."""
         return type(self).closed_cells is not Part.closed_cells
+
+    @property
+    def finds_things(self) -> bool:
+        """Whether what is looked for counts as found by the part."""
+        return type(self).found is not Part.found
 
     @property
     def has_errands(self) -> bool:

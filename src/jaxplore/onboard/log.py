@@ -183,7 +183,6 @@ class DriveLog:
             finished_step=len(rows) if is_done and len(rows) else None,
             target_coverage=None,
             target="information",
-            targets=np.zeros((0, 2), np.float32),
             member_names=(),
             world=probability,
             belief=probability,
@@ -241,7 +240,6 @@ class DriveLog:
             "is_finite": rows[:, FINITE].astype(bool),
             "is_faulty": rows[:, FAULTY].astype(bool),
             "members": None,
-            "targets_seen": np.zeros(len(rows), np.int32),
         }
         return ExplorationRecord(**columns)
 

@@ -25,6 +25,7 @@ from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.judge import Judge
+from jaxplore.simulation.exploration.part_truth import Vantage
 from jaxplore.simulation.exploration.progress import map_progress
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -277,7 +278,9 @@ def _measure(
     belief = scenario.perception.observe(state.belief, scans, pose, since)
     sums = state.judged.sums.update(before, judge.count_window(belief.grid, pose))
     judged = state.judged._replace(sums=sums, progress=map_progress(sums, belief.grid))
-    truths = judge.judge_parts(state.truths, belief, sums, moment.time)
+    parts = scenario.perception.parts, belief.parts
+    vantage = Vantage(truth, scenario.sensors, pose, *parts)
+    truths = judge.judge_parts(state.truths, vantage, sums, moment.time)
     ranges = jnp.concatenate([scan.ranges for scan in scans])
     return state.with_belief(belief)._replace(judged=judged, truths=truths, ranges=ranges), scans[0]
 

@@ -315,6 +315,5 @@ def frame(
         planned = controller.inspect(
             memory, state, belief, key=key, num_trajectories=num_trajectories
         )
-    is_seen = jnp.zeros(scenario.num_targets, bool)
-    seen = (scenario.robot, scenario.sensors[0], state, belief, is_seen)
-    return frame_arrays(*seen, scan, None, planned, scenario.truths)
+    seen = (scenario.robot, scenario.sensors[0], state, belief)
+    return frame_arrays(*seen, scan, None, planned, scenario.truths, {})

@@ -15,6 +15,7 @@ from jaxplore.parts.recognition.robot import Look as Look
 from jaxplore.parts.recognition.robot import ObjectClasses as ObjectClasses
 from jaxplore.parts.recognition.robot import Recognition as Recognition
 from jaxplore.parts.recognition.truth import Objects as Objects
+from jaxplore.parts.targets.truth import Targets as Targets
 from jaxplore.parts.watch.robot import IdlenessMap as IdlenessMap
 from jaxplore.parts.watch.truth import WatchTruth as _WatchTruth  # noqa: F401, a default
 from jaxplore.parts.wheels.truth import Wheels as Wheels

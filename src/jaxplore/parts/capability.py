@@ -48,8 +48,9 @@ class Capability:
     Args:
         name: name of its section in settings files.
         meaning: what the section is, for the page of settings.
-        settings: class of the section; a run without it does not have the capability.
-        build: function that builds what checked settings stand for.
+        settings: class of the section; a run without it does not have the capability. None for one
+            that is given by the world alone.
+        build: function that builds what checked settings stand for, or None without a section.
         dimensions: 2 for a capability of robots on a plane, 3 for one in a volume.
         control: function that returns what presets of controllers are told of it, by the name of
             their argument; nothing when absent.
@@ -60,9 +61,14 @@ class Capability:
 
     name: str
     meaning: str
-    settings: type[Section]
+    settings: type[Section] | None
     build: Callable[[Any, Surroundings], Built]
     dimensions: int = 2
     control: Callable[[Any, Surroundings], Mapping[str, Any]] = lambda *_: {}
     sends_robot: bool = False
     is_on_board: bool = True
+
+    def find_section(self, settings: Any) -> Section | None:
+        """Return its section in settings; None if it is not given."""
+        found = getattr(settings, self.name, None)
+        return found if self.settings is not None and isinstance(found, self.settings) else None

@@ -11,6 +11,7 @@ from jaxplore.parts.battery.settings import BATTERY
 from jaxplore.parts.capability import Capability, Surroundings
 from jaxplore.parts.keep_out.settings import KEEP_OUT, KEEP_OUT_BOXES
 from jaxplore.parts.recognition.settings import DETECTOR
+from jaxplore.parts.targets.settings import TARGETS
 from jaxplore.parts.watch.settings import WATCH
 from jaxplore.parts.wheels.settings import CHASSIS
 from jaxplore.settings.sections import RunSettings
@@ -21,6 +22,7 @@ CAPABILITIES: tuple[Capability, ...] = (
     ANOMALIES,
     KEEP_OUT,
     KEEP_OUT_BOXES,
+    TARGETS,
     DETECTOR,
     CHASSIS,
     BATTERY,
@@ -42,7 +44,7 @@ def with_capabilities[Settings: RunSettings](
     sections: dict[str, Any] = {
         each.name: (each.settings | None, Field(default=None, description=each.meaning))
         for each in CAPABILITIES
-        if each.dimensions == dimensions
+        if each.settings is not None and each.dimensions == dimensions
     }
     made: type[Settings] = create_model(
         kind.__name__, __base__=kind, __module__=kind.__module__, __doc__=kind.__doc__, **sections
@@ -70,8 +72,8 @@ def control_arguments(settings: RunSettings, surroundings: Surroundings) -> dict
 
 
 def _given(settings: RunSettings) -> Iterator[tuple[Capability, Any]]:
-    """Yield the capabilities whose section is given, and the section."""
+    """Yield the capabilities whose section is given, and the section; None of those without."""
     for each in CAPABILITIES:
-        own = getattr(settings, each.name, None)
-        if isinstance(own, each.settings):
+        own = each.find_section(settings)
+        if own is not None or each.settings is None:
             yield each, own

@@ -27,8 +27,8 @@ class PartMetrics:
     """Columns of a comparison's table, computed from the metrics of the part."""
     plotted: ClassVar[tuple[Curve, ...]] = ()
     """Curves of a comparison, each a key of `PartReport.series`; `applies` is asked of these."""
-    found: ClassVar[str] = ""
-    """What a robot does with targets by the part, such as recognised; empty if it sees them."""
+    is_end: ClassVar[bool] = False
+    """Whether the part says when the task is finished."""
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the main metrics as (name, text), for tables."""
@@ -42,11 +42,29 @@ class Headline(NamedTuple):
         text: the number at a step.
         label: what it is.
         values: (N + 1,) its values at all instants.
+        most: upper end of their curve; the greatest of them when absent.
     """
 
     text: str
     label: str
     values: np.ndarray
+    most: float | None = None
+
+
+class Tally(NamedTuple):
+    """How many of some things were found.
+
+    Args:
+        label: what they are.
+        values: (N + 1,) number that was found, at all instants.
+        number: number of all.
+        colour: their colour.
+    """
+
+    label: str
+    values: np.ndarray
+    number: int
+    colour: tuple[int, int, int]
 
 
 class PartReport(abc.ABC):
@@ -60,6 +78,8 @@ class PartReport(abc.ABC):
     """Name of the part."""
     record_type: ClassVar[type | None] = None
     """Class of its record of a step, a NamedTuple; None without one."""
+    mark_size: ClassVar[float] = 0.6
+    """Radius of the discs of `marks` in the browser, as a multiple of the robot's."""
 
     def move(self, offset: np.ndarray) -> "PartReport":
         """Return the report with an offset (2,) [m] added to all positions."""
@@ -80,6 +100,13 @@ class PartReport(abc.ABC):
     def figures(self, run: Any) -> dict[str, Callable[[], "Figure"]]:
         """Return functions that draw figures, by file name without suffix."""
         return {}
+
+    def tally(self, run: Any) -> Tally | None:
+        """Return how many of what the task is about were found.
+
+        It is in the title of the map, below the coverage, and in the curves of a view.
+        """
+        return None
 
     def headline(self, run: Any, step: int) -> Headline | None:
         """Return what a film of a run on a known map shows after a number of steps."""

@@ -1,19 +1,16 @@
 """Metrics of targets that are to be found, of all tasks."""
 
-from typing import Any
-
 import numpy as np
 
 
-def last_target_at(data: Any) -> float | None:
+def last_target_at(seen: np.ndarray, number: int, period: float) -> float | None:
     """Return the time at which the last target was seen [s]; None if some were not, or without any.
 
-    The record of step k holds what was seen at its beginning, so the time is k control periods.
+    The record of step k holds how many of the `number` targets were `seen` (N,) at its beginning,
+    so the time is k control periods [s].
     """
-    if len(data.targets) == 0:
-        return None
-    is_all = np.asarray(data.records.targets_seen) >= len(data.targets)
-    return int(is_all.argmax()) * data.control_period if is_all.any() else None
+    is_all = seen >= number if number else np.zeros(0, bool)
+    return int(is_all.argmax()) * period if is_all.any() else None
 
 
 def target_rows(

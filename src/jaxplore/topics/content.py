@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.report.drawing.colours import TARGET, belief_colours
-from jaxplore.report.drawing.palette import FAINT, PALE, PLAN, ROBOT, STRONG, Colour
+from jaxplore.report.drawing.colours import belief_colours
+from jaxplore.report.drawing.palette import FAINT, PLAN, ROBOT, STRONG, Colour
 from jaxplore.report.drawing.rollout_costs import WEIGHT, cost_names, costs_of_rollouts
 from jaxplore.report.drawing.shapes import STRONG_SHARE
 from jaxplore.topics import messages
@@ -160,14 +160,6 @@ class Content:
             costs = {name: costs_of_rollouts(frame, name)[shown].tolist() for name in names}
             weights = {WEIGHT: frame.weights[shown].tolist()}
             self.channels.log_lists("/rollout_costs", weights | costs, frame.time)
-
-    def mark_targets(self, frame: Any) -> tuple[str, dict[str, Any]]:
-        """Return the marks of the targets, pale where they were found."""
-        marks = [
-            messages.disc(place, MARK, PALE if is_found else TARGET)
-            for place, is_found in zip(self.recording.targets, frame.is_found, strict=True)
-        ]
-        return MAP, {"cylinders": marks}
 
     def body(self) -> tuple[str, dict[str, Any]]:
         """Return the robot as an entity of a scene."""

@@ -8,6 +8,7 @@ from PIL import ImageDraw
 
 from jaxplore.maps.datum import move_points
 from jaxplore.parts.recognition.robot import Recognition
+from jaxplore.parts.targets.report import TargetReport
 from jaxplore.report.drawing.colours import ALARM, FREE, TARGET, blend, shade
 from jaxplore.report.drawing.footer import Entry
 from jaxplore.report.drawing.palette import INK, PALE, PAPER, Colour
@@ -58,7 +59,6 @@ class ObjectMetrics(PartMetrics):
     class_entropy: float
     labels: list[dict[str, Any]]
 
-    found: ClassVar[str] = "recognised"
     columns = (Column.total("false_reports", "false reports", applies=lambda total: total > 0),)
 
     def rows(self) -> list[tuple[str, str]]:
@@ -168,13 +168,18 @@ class ObjectReport(PartReport):
         The colour is that of the most probable class, the paler the less certain it is. Targets
         that were found are left out: they are drawn as such.
         """
-        colours, found = self.class_colours, np.flatnonzero(frame.is_found)
+        colours, is_found = self.class_colours, self.is_found(frame)
         shares = ((row, known, float(np.max(known)) ** 2) for row, known in self._rows(frame))
         return [
             (self.place[row], blend(colours[int(np.argmax(known))], FREE, share))
             for row, known, share in shares
-            if np.isfinite(known).all() and row not in found
+            if np.isfinite(known).all() and not is_found[row]
         ]
+
+    def is_found(self, frame: MissionFrame) -> np.ndarray:
+        """Return which objects (N,) are targets that were found by the time of a frame."""
+        found = frame.parts.get(TargetReport.name, {"is_found": np.zeros(0, bool)})["is_found"]
+        return np.append(np.asarray(found, bool), np.zeros(len(self.label) - len(found), bool))
 
     def _rows(self, frame: MissionFrame) -> list[tuple[int, np.ndarray]]:
         return list(enumerate(frame.parts[self.name]["classes"]))
@@ -206,8 +211,7 @@ class ObjectReport(PartReport):
         crossed out.
         """
         colours, unit = self.class_colours, surface.unit
-        is_found = np.zeros(len(self.label), bool)
-        is_found[: len(frame.is_found)] = frame.is_found
+        is_found = self.is_found(frame)
         reported = self.is_false & (self.reported_at[:, self.target] <= frame.time)
         for (row, known), middle in zip(self._rows(frame), surface.pixels(self.place), strict=True):
             if self.label[row] != self.target:

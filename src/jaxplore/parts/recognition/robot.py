@@ -201,6 +201,10 @@ class Recognition(Part):
             reported_probability=jnp.where(is_report, probability, state.reported_probability),
         )
 
+    def found(self, own: ObjectClasses) -> Bool[Array, " N"]:
+        """Return which objects the robot has reported as targets."""
+        return jnp.isfinite(own.reported_at[:, self.target])
+
     def merge(
         self, own: ObjectClasses, told: ObjectClasses, is_heard: Bool[Array, " N"]
     ) -> ObjectClasses:

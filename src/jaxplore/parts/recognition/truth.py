@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxplore import _kinds
 from jaxplore._trees import HostOnly
@@ -17,6 +16,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.world import LabelledObject
 from jaxplore.parts.recognition.report import ObjectReport
 from jaxplore.parts.recognition.robot import Look, ObjectClasses, Recognition
+from jaxplore.parts.targets.truth import Targets
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.checks import check_spots
 from jaxplore.simulation.exploration.part_truth import PartTruth, Site
@@ -52,6 +52,8 @@ class Objects(PartTruth):
         given, recognition = self.given.value, site.perception.part(Recognition)
         assert recognition is not None
         detector, target = recognition.detector, int(recognition.target)
+        targets = site.truth(Targets)
+        sought = np.zeros((0, 2), np.float32) if targets is None else np.asarray(targets.places)
         labels = [
             detector.index_of(f"objects[{index}].label", each.label)
             for index, each in enumerate(given)
@@ -64,9 +66,8 @@ class Objects(PartTruth):
         spots = np.array([each.position for each in given], np.float32).reshape(-1, 2)
         check_spots("objects", spots, site.world, site.datum)
         return TrueObjects(
-            on_device(np.concatenate([np.asarray(site.targets), spots])),
-            on_device(np.array([target] * len(site.targets) + labels, np.int32)),
-            len(site.targets),
+            on_device(np.concatenate([sought, spots])),
+            on_device(np.array([target] * len(sought) + labels, np.int32)),
         )
 
 
@@ -77,7 +78,6 @@ class TrueObjects(PartTruth):
 
     place: Float[Array, "N 2"]
     label: Int[Array, " N"]
-    num_targets: int = eqx.field(static=True)
 
     def init_part(self, part: Recognition, pose: Pose) -> ObjectClasses | None:
         """Return a slot for each object; None without any."""
@@ -107,12 +107,9 @@ class TrueObjects(PartTruth):
         )
         return Look(detections, self.place, pose[:2])
 
-    def find_targets(self, part: Recognition, known: ObjectClasses) -> Bool[Array, " M"]:
-        """Return which targets the robot has reported as such."""
-        return jnp.isfinite(known.reported_at[: self.num_targets, part.target])
-
-    def frame(self, known: ObjectClasses) -> dict[str, Float[Array, "N C"]]:
+    def frame(self, known: ObjectClasses | None, own: Any) -> dict[str, Float[Array, "N C"]]:
         """Return the probability of each class of each object; NaN of those not detected."""
+        assert known is not None  # It has no state of its own.
         return {"classes": jnp.where(known.is_known[:, None], known.probability, jnp.nan)}
 
     def report(

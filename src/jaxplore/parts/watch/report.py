@@ -49,7 +49,7 @@ class WatchMetrics(PartMetrics):
             second half of the run [s]: the first half is needed to see everything once. None
             without a step.
         worst_idleness: the greatest of these times in the second half [s].
-        is_patrol: whether the run is judged by them: a search is judged by its targets.
+        is_patrol: whether the run is judged by them: a search is judged by what it is about.
     """
 
     mean_idleness: float | None

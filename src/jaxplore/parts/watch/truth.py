@@ -19,11 +19,11 @@ class WatchTruth(PartTruth):
     objective: ClassVar[str | None] = "watch.mean_idleness"
     is_judging: ClassVar[bool] = True
 
-    has_targets: bool = False
+    is_patrol: bool = True
 
     def bind(self, site: Site) -> "WatchTruth":
-        """Return the judge; a search is judged by its targets, and no patrol."""
-        return WatchTruth(len(site.targets) > 0)
+        """Return the judge; a search is judged by what ends it, and is no patrol."""
+        return WatchTruth(not any(each.ends_task for each in site.truths))
 
     def init(self, pose: Pose) -> WatchRecord:
         """Return what is said at the start."""
@@ -48,7 +48,7 @@ class WatchTruth(PartTruth):
         self, part: IdlenessMap, known: GridValues, own: WatchRecord, grid: OccupancyGrid
     ) -> WatchReport:
         """Return the idleness at the end."""
-        return WatchReport(grid.crop(known), is_patrol=not self.has_targets)
+        return WatchReport(grid.crop(known), is_patrol=self.is_patrol)
 
 
 def mean_and_worst(

@@ -12,7 +12,6 @@ from jaxplore.report.drawing.colours import (
     FREE,
     MOVER,
     MOVER_EDGE,
-    TARGET,
     UNKNOWN,
     belief_colours,
     blend,
@@ -43,7 +42,6 @@ from jaxplore.report.drawing.shapes import (
     draw_goal,
     draw_line,
     draw_rollouts,
-    draw_targets,
 )
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import TEAM, ExplorationData, ExplorationFrame
@@ -141,7 +139,6 @@ def _draw_robot(
     for each, (colour, *_) in zip(robots, colours, strict=True):
         for piece in each.ways(frame.step):
             line(piece, colour, 1.5)
-    draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
     for part in recording.parts.values():
         part.draw(canvas, draw, recording, frame)
     _draw_moving_obstacles(canvas, recording.mover_radii, frame, draw)

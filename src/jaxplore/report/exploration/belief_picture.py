@@ -1,15 +1,18 @@
-"""A picture of the belief with the robot and the targets in it."""
+"""A picture of the belief with the robot and what its parts show in it."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from jaxplore.report.drawing.colours import TARGET, belief_colours
+from jaxplore.report.drawing.colours import belief_colours
 from jaxplore.report.drawing.palette import LIDAR_RAY, TRAIL
 from jaxplore.report.drawing.picture import SUPERSAMPLING, to_frame
-from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_targets
+from jaxplore.report.drawing.shapes import draw_body, draw_line
+from jaxplore.report.exploration.mission import MissionFrame
+from jaxplore.report.part import PartReport
 
 MOST_RAYS = 45
 
@@ -45,14 +48,15 @@ def belief_picture(
     radius: float,
     footprint: np.ndarray,
     scan: np.ndarray,
-    targets: np.ndarray,
-    is_found: np.ndarray,
+    parts: Mapping[str, PartReport],
+    frame: MissionFrame,
     width: int = 640,
 ) -> np.ndarray:
-    """Draw the belief, the trail, the last scan, the targets and the robot (rows, columns, 3).
+    """Draw the belief, the trail, the last scan, the parts and the robot (rows, columns, 3).
 
     The picture is in 256 levels. As in the animation of a run, a target is a star until it is
-    found, then a ring with a check mark: a spectator sees the places of all targets.
+    found, then a ring with a check mark: a spectator sees the places of all targets. `frame` has
+    what `parts` show now.
 
     The grid of the belief (H, W) has the pose `origin` [m, m, rad] and cells of side `resolution`
     [m]. `path` (N, 2) are past positions of the robot, the last row its present one [m].
@@ -74,6 +78,7 @@ def belief_picture(
     for end in scan[:: max(1, len(scan) // MOST_RAYS)]:
         draw_line(sheet, draw, np.stack([path[-1], end]), LIDAR_RAY, 0.5)
     draw_line(sheet, draw, path, TRAIL, 1.5)
-    draw_targets(sheet, draw, targets, is_found, TARGET)
+    for part in parts.values():
+        part.draw(sheet, draw, None, frame)
     draw_body(sheet, draw, footprint, radius, path[-1], heading)
     return np.asarray(image.reduce(SUPERSAMPLING))

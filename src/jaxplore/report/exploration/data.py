@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
+from jaxplore._types import ControlVector, Flag, Scalar, StateVector
 from jaxplore.control.base import Members
 from jaxplore.maps.datum import move_points
 from jaxplore.report.exploration.mission import MissionData, MissionFrame
@@ -49,7 +49,6 @@ class ExplorationRecord(NamedTuple):
         effective_sample_size: effective sample size of the controller's rollouts, mean over robots.
         is_finite: whether any rollout of each robot had a finite cost.
         is_faulty: whether a fault of scans or odometry was active.
-        targets_seen: number of targets found so far: seen, or with a detector reported.
         parts: record of each part of the robot that has one, by its name.
         members: diagnostics of the members of a controller that holds several.
         stop: (*N,) why the guard stopped the robot in the step, an index into
@@ -73,7 +72,6 @@ class ExplorationRecord(NamedTuple):
     effective_sample_size: Scalar
     is_finite: Flag
     is_faulty: Flag
-    targets_seen: Count
     parts: dict[str, Any]
     members: Members | None
     stop: Int[Array, "*N"] | None = None
@@ -321,8 +319,8 @@ class ExplorationData(MissionData):
 
     @property
     def live_curves(self) -> LiveCurves:
-        """The coverage, of several robots also that by the map of each, and the share of the
-        targets that were found."""
+        """The coverage, of several robots also that by the map of each, and the share of what
+        the task is about that was found."""
         names, rows = ["coverage"], [np.asarray(self.records.coverage)]
         team = self.records.parts.get(TEAM)
         if team is not None:
@@ -330,7 +328,7 @@ class ExplorationData(MissionData):
             names = [*(f"robot {number + 1}" for number in range(self.num_robots)), "together"]
             rows = [*self.by_robot(team.coverages).T, *rows]
         title = "coverage"
-        if len(self.targets):
-            title, names = "coverage and targets found", [*names, "targets found"]
-            rows.append(np.asarray(self.records.targets_seen) / len(self.targets))
+        for tally in self.tallies():
+            title, names = f"{title} and {tally.label} found", [*names, f"{tally.label} found"]
+            rows.append(tally.values[:-1] / tally.number)
         return LiveCurves(title, tuple(names), np.stack(rows))

@@ -29,7 +29,9 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         curve |= {"entropy": entropy, "unknown": unknown}
         final_entropy, final_unknown = entropy[-1], float(unknown[-1])
     lost = recording.initial_entropy - final_entropy
-    finished_at, given_up = _find_finish(recording, float(coverage[-1])), recording.given_up_step
+    parts, given_up = mission_metrics(recording), recording.given_up_step
+    ends_by_parts = any(each.is_end for each in parts.values())
+    finished_at = _find_finish(recording, float(coverage[-1]), ends_by_parts=ends_by_parts)
     diversity, replaced = fusion_means(recording)
     return ExplorationMetrics(
         **recording.common_metrics(finished_at=finished_at, seed=seed),
@@ -58,7 +60,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         minimum_effective_sample_size=finite(np.min(sample_size, initial=np.inf)),
         non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
         untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
-        **mission_metrics(recording),
+        parts=parts,
         members=member_means(recording),
         diversity=diversity,
         replaced=replaced,
@@ -80,12 +82,14 @@ def measure_belief(recording: ExplorationData) -> tuple[float, float]:
     return -float(terms.sum()), float(is_unknown.mean()) if p.size else 0.0
 
 
-def _find_finish(recording: ExplorationData, coverage: float) -> float | None:
+def _find_finish(
+    recording: ExplorationData, coverage: float, *, ends_by_parts: bool
+) -> float | None:
     if recording.finished_step is not None:
         return recording.finished_step * recording.control_period
     target = recording.target_coverage
     is_judged = recording.target == "coverage" and target is not None
-    if recording.goal is not None or len(recording.targets) or not is_judged:
+    if recording.goal is not None or ends_by_parts or not is_judged:
         return None
     # A run that begins at the target coverage takes no step.
     return 0.0 if coverage >= np.float32(target) and recording.num_steps == 0 else None

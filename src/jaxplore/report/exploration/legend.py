@@ -7,7 +7,6 @@ from jaxplore.report.drawing.colours import (
     MOVER,
     MOVER_EDGE,
     OCCUPIED,
-    TARGET,
     UNKNOWN,
     blend,
 )
@@ -56,18 +55,13 @@ def legend_entries(recording: ExplorationData, *, has_closed: bool) -> tuple[Ent
 
 
 def mission_entries(recording: MissionData) -> tuple[Entry, ...]:
-    """Return the entries of what is looked for beside the map."""
-    entries: list[Entry] = []
-    if len(recording.targets):
-        entries += [Entry("target", TARGET, "star"), Entry("target found", TARGET, "found")]
-    for each in recording.parts.values():
-        entries += each.legend()
-    return tuple(entries)
+    """Return the entries of parts."""
+    return tuple(entry for each in recording.parts.values() for entry in each.legend())
 
 
 def mission_colours(recording: MissionData) -> list[Colour]:
-    """Return the colours of targets and of parts, as far as a run has them."""
-    colours: list[Colour] = [TARGET] if len(recording.targets) else []
+    """Return the colours of parts."""
+    colours: list[Colour] = []
     for each in recording.parts.values():
         colours += [colour for colour in each.colours() if colour not in colours]
     return colours

@@ -7,12 +7,12 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
-from jaxplore.report.coverage_levels import at_instants
 from jaxplore.report.drawing.footer import EDGE, Entry, Footer
 from jaxplore.report.drawing.picture import MIN_MAP_SIDE, SUPERSAMPLING
 from jaxplore.report.exploration.mission import MissionData, MissionFrame
 from jaxplore.report.exploration.progress import is_known_map
 from jaxplore.report.exploration.window import Window
+from jaxplore.report.part import Headline
 
 MAX_RATIO = 1.1
 """Greatest height of the map, as a multiple of the picture's width."""
@@ -85,15 +85,15 @@ def make_map_canvas(data: MissionData, curves: Curves, width: int, zoom: float) 
 
 
 def _draw_footer(canvas: MapCanvas, frame: MissionFrame, footer: Footer) -> None:
-    """Draw the main number and its curve, time, distance, targets, scale bar and legend.
+    """Draw the main number and its curve, time, distance, words of parts, scale bar and legend.
 
-    The main number is the coverage. On a map that was known in advance, it is the number of targets
-    found, without targets the headline of a part, and without one the distance driven.
+    The main number is the coverage. On a map that was known in advance, it is the headline of a
+    part, and without one the distance driven.
     """
     data, (time, coverage, path) = canvas.data, canvas.curves
     step = min(frame.step, len(time) - 1)
     if is_known_map(data):
-        _draw_mission(data, frame, footer, time, path, step)
+        _draw_mission(data, footer, time, path, step)
     else:
         # Instant 0 has the coverage after the first scan, but the first frame is drawn before it.
         share = float(coverage[step]) if frame.step else data.initial_coverage
@@ -101,19 +101,16 @@ def _draw_footer(canvas: MapCanvas, frame: MissionFrame, footer: Footer) -> None
         footer.curve(time, coverage, step, level=data.target_coverage)
     footer.text(EDGE, 38, f"{frame.time:.1f} s")
     footer.text(84, 38, f"{path[step]:.1f} m")
-    if len(data.targets):
-        footer.text(EDGE, 56, f"targets {int(np.sum(frame.is_found))} of {len(data.targets)}")
     words = [each.footer(data, frame) for each in data.parts.values()]
     said = ", ".join(each for each in words if each)
     if said:
-        footer.text(EDGE + (110 if len(data.targets) else 0), 56, said)
+        footer.text(EDGE, 56, said)
     footer.scale_bar(canvas.scale / SUPERSAMPLING)
     footer.legend()
 
 
 def _draw_mission(
     recording: MissionData,
-    frame: MissionFrame,
     footer: Footer,
     time: np.ndarray,
     path: np.ndarray,
@@ -125,14 +122,8 @@ def _draw_mission(
     """
     found = [each.headline(recording, step) for each in recording.parts.values()]
     headline = next((each for each in found if each is not None), None)
-    if len(recording.targets):
-        values = at_instants(recording.records.targets_seen, 0.0)
-        footer.headline(f"{int(np.sum(frame.is_found))}", "targets found")
-        most = float(len(recording.targets))
-    elif headline is not None:
-        footer.headline(headline.text, headline.label)
-        values, most = headline.values, float(np.max(headline.values))
-    else:
-        values, most = path, float(path[-1])
-        footer.headline(f"{values[step]:.1f} m", "driven")
-    footer.curve(time, values / max(most, 1e-6), step)
+    if headline is None:
+        headline = Headline(f"{path[step]:.1f} m", "driven", path)
+    footer.headline(headline.text, headline.label)
+    most = float(np.max(headline.values)) if headline.most is None else headline.most
+    footer.curve(time, headline.values / max(most, 1e-6), step)

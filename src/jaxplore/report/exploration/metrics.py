@@ -6,11 +6,7 @@ from jaxplore.report._numbers import numbers, percent, text
 from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.exploration.data import TEAM
 from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics
-from jaxplore.report.exploration.mission_metrics import (
-    TARGET_COLUMNS,
-    TARGET_CURVE,
-    MissionMetrics,
-)
+from jaxplore.report.exploration.mission_metrics import MissionMetrics
 from jaxplore.report.metrics import Column, Curve
 
 
@@ -73,8 +69,7 @@ class ExplorationMetrics(MissionMetrics, GuardMetrics):
         longest_stall: longest time without a rise of the coverage in which the positions fit into a
             square of side `2 * STALL_RADIUS` along the world's axes [s].
         coverage_curve: "time" [s], "coverage", "entropy" [nat], "path" [m] and "unknown" every
-            half second, the end included; where they exist also "targets", found until then, and
-            the curves of parts.
+            half second, the end included; also the curves of parts.
     """
 
     coverage: float
@@ -131,7 +126,6 @@ class ExplorationMetrics(MissionMetrics, GuardMetrics):
             104.0,
             applies=lambda each: not each.is_map_known,
         ),
-        TARGET_CURVE,
     )
     columns = (
         Column.num_finished(),
@@ -142,7 +136,6 @@ class ExplorationMetrics(MissionMetrics, GuardMetrics):
         # Without a path there is no information per metre, and it counts as 0.
         Column.quartiles("information_per_metre", "nat/m", missing=0.0),
         Column.quartiles("final_unknown", "unknown [%]", scale=100.0),
-        *TARGET_COLUMNS,
         Column.total("collisions", "collisions"),
         Column.total(
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
@@ -164,7 +157,7 @@ class ExplorationMetrics(MissionMetrics, GuardMetrics):
         ends = (
             self.target_coverage is not None
             or self.target in ("information", "walls")
-            or self.num_targets
+            or self.ends_by_parts
             or self.goal_distance is not None
         )
         end = ", finished" if self.is_finished else ", not finished" if ends else ""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.maps.datum import move_points
-from jaxplore.report.part import PartReport
+from jaxplore.report.part import PartReport, Tally
 from jaxplore.report.recording import Frame, RunData
 
 if TYPE_CHECKING:
@@ -20,11 +20,9 @@ class MissionFrame(Frame):
     """A snapshot of what was found so far.
 
     Args:
-        is_found: (M,) whether each target was found.
         parts: arrays of each part that has any, by its name.
     """
 
-    is_found: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
     parts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
@@ -46,7 +44,6 @@ class MissionData(RunData):
         given_up_step: number of steps until it was given up; None if it was not.
         elevation: (H, W) elevation of the ground [m]; None if it is level.
         traversable: (H, W) cells that may be entered; None if all that are free may.
-        targets: (M, 2) positions of the targets [m].
         parts: what the run shows of each part of the robots, by its name.
     """
 
@@ -62,13 +59,17 @@ class MissionData(RunData):
     given_up_step: int | None = None
     elevation: np.ndarray | None = None
     traversable: np.ndarray | None = None
-    targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     parts: Mapping[str, PartReport] = dataclasses.field(default_factory=dict)
 
     @property
     @abc.abstractmethod
     def last_positions(self) -> np.ndarray:
         """Positions (N, 2) of all robots at the end [m]."""
+
+    def tallies(self) -> list[Tally]:
+        """Return how many were found of what the task is about."""
+        found = (each.tally(self) for each in self.parts.values())
+        return [each for each in found if each is not None]
 
     def part_figures(self) -> dict[str, Callable[[], "Figure"]]:
         """Return functions that draw the figures of parts, by file name without suffix."""
@@ -84,5 +85,7 @@ class MissionData(RunData):
 
     def move_mission(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
-        moved = {name: move_points(getattr(self, name), offset) for name in ("origin", "targets")}
-        return {"parts": {name: each.move(offset) for name, each in self.parts.items()}, **moved}
+        return {
+            "origin": move_points(self.origin, offset),
+            "parts": {name: each.move(offset) for name, each in self.parts.items()},
+        }

@@ -1,4 +1,4 @@
-"""Overlays of a map: the ground, targets, moving obstacles, the robot's outline."""
+"""Overlays of a map: the ground, moving obstacles, the robot's outline."""
 
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,6 @@ from jaxplore.report.drawing.colours import (
     FREE,
     MOVER,
     MOVER_EDGE,
-    TARGET,
     blend,
     shade,
 )
@@ -108,32 +107,6 @@ def _middles(window: Window, around: int = 0) -> tuple[np.ndarray, np.ndarray]:
         window.corner[0] + window.resolution * columns,
         window.corner[1] + window.resolution * rows,
     )
-
-
-def add_targets(axes: "Axes", recording: MissionData, window: Window) -> None:
-    """Draw the targets: found ones as rings, those that are still to be found as stars."""
-    if not len(recording.targets):
-        return
-    places = window.place(recording.targets) + window.corner
-    colour, is_found = shade(TARGET), np.asarray(recording.frames[-1].is_found, bool)
-    for some, marker, size, fill, edge, label in (
-        (~is_found, "*", 12.0, colour, "white", "target"),
-        (is_found, "o", 8.0, "white", colour, "target found"),
-    ):
-        # A kind that is not there has no entry in the legend.
-        if not some.any():
-            continue
-        axes.plot(
-            *places[some].T,
-            marker=marker,
-            color=fill,
-            markersize=size,
-            markeredgecolor=edge,
-            markeredgewidth=1.0 if marker == "*" else 2.4,
-            linestyle="none",
-            label=label,
-            zorder=4.0,
-        )
 
 
 def add_moving_obstacles(axes: "Axes", recording: ExplorationData, window: Window) -> None:

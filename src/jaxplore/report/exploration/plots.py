@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
-from jaxplore.report.coverage_levels import LEVELS, at_instants
+from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.drawing.colours import (
     CLOSED,
     CLOSED_SHARE,
     MISSED,
     SERIES,
-    TARGET,
     belief_colours,
     shade,
 )
@@ -30,11 +29,11 @@ from jaxplore.report.exploration.overlays import (
     add_footprint,
     add_ground,
     add_moving_obstacles,
-    add_targets,
     find_closed_cells,
 )
 from jaxplore.report.exploration.progress import is_known_map, progress
 from jaxplore.report.exploration.window import Window
+from jaxplore.report.part import Tally
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,9 +56,9 @@ def map_figure(recording: ExplorationData) -> "Figure":
 
     Walls that the belief lacks are red, with a line that is as wide in the picture of a large map:
     they were not seen, or a robot that estimates its pose has drawn them elsewhere. If present, it
-    also shows the height of the ground as contour lines, untraversable ground hatched, the targets,
-    the last positions of the moving obstacles with their positions in the frames, and a rectangular
-    robot's outline at the start and at the end.
+    also shows the height of the ground as contour lines, untraversable ground hatched, the last
+    positions of the moving obstacles with their positions in the frames, what parts show, and a
+    rectangular robot's outline at the start and at the end.
 
     Of several robots each has a colour; the path of one is coloured by time. A rotated map is drawn
     along its own axes.
@@ -90,7 +89,6 @@ def map_figure(recording: ExplorationData) -> "Figure":
     add_outline(axes, recording, window)
     _draw_missed_walls(axes, recording, window, unseen)
     add_ground(axes, recording, window)
-    add_targets(axes, recording, window)
     add_moving_obstacles(axes, recording, window)
     for part in recording.parts.values():
         part.add_to_map(axes, recording, window)
@@ -114,8 +112,8 @@ def map_figure(recording: ExplorationData) -> "Figure":
     title = f"{time[-1]:.1f} s, {path[-1]:.1f} m"
     if not is_known_map(recording):
         title = f"{100.0 * coverage[-1]:.1f} % covered, {title}"
-    if len(recording.targets):
-        title += f", targets {_targets_seen(recording)[-1]:.0f} of {len(recording.targets)}"
+    for tally in recording.tallies():
+        title += f", {tally.label} {tally.values[-1]:.0f} of {tally.number}"
     figure.suptitle(title, fontsize=11)
     return figure
 
@@ -176,11 +174,6 @@ def _draw_missed_walls(
         axes.plot([], [], color=shade(MISSED), linewidth=3.0, label=label)
 
 
-def _targets_seen(recording: ExplorationData) -> np.ndarray:
-    """Return the number of targets seen at each instant (N + 1,)."""
-    return at_instants(recording.records.targets_seen, 0.0)
-
-
 def _unseen_walls(recording: ExplorationData) -> np.ndarray:
     """Return the solid cells beside the free space around the reachable cells that the belief does
     not hold to be solid."""
@@ -196,8 +189,8 @@ def _unseen_walls(recording: ExplorationData) -> np.ndarray:
 def coverage_figure(recording: ExplorationData) -> "Figure":
     """Draw coverage and entropy over time, and the times at which levels of coverage were reached.
 
-    Of several robots it shows the coverage by the map of each in place of the entropy. With
-    targets, a second panel shows how many had been seen.
+    Of several robots it shows the coverage by the map of each in place of the entropy. A panel
+    below shows how many targets had been found, if there are any.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -205,11 +198,11 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
     blue, brown = SERIES[0], SERIES[3]
     time, coverage, entropy, path = progress(recording)
     metrics = compute_metrics(recording)
-    has_targets = len(recording.targets) > 0
-    figure = Figure(figsize=(8.0, 6.0 if has_targets else 4.6), layout="constrained")
+    tallies = recording.tallies()
+    figure = Figure(figsize=(8.0, 4.6 + 1.4 * len(tallies)), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 1, height_ratios=[3.2, 1.0]) if has_targets else None
-    axes = figure.add_subplot() if grid is None else figure.add_subplot(grid[0])
+    grid = figure.add_gridspec(1 + len(tallies), 1, height_ratios=[3.2, *(1.0 for _ in tallies)])
+    axes = figure.add_subplot(grid[0])
     duration = max(float(time[-1]), recording.control_period)
     if entropy is not None:
         right = axes.twinx()
@@ -265,21 +258,21 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
     above.set_xlim(0.0, duration)
     above.set_xticks(ticks, [f"{metres:.1f}" for metres in np.interp(ticks, time, path)])
     above.set_xlabel("distance travelled [m]")
-    if grid is not None:
-        axes.set_xlabel("")
-        axes.tick_params(axis="x", labelbottom=False)
-        below = figure.add_subplot(grid[1], sharex=axes)
-        _draw_targets_seen(below, recording, time)
+    last = axes
+    for row, tally in enumerate(tallies, start=1):
+        last.set_xlabel("")
+        last.tick_params(axis="x", labelbottom=False)
+        last = figure.add_subplot(grid[row], sharex=axes)
+        _draw_tally(last, tally, time)
     return figure
 
 
-def _draw_targets_seen(axes: "Axes", recording: ExplorationData, time: np.ndarray) -> None:
-    most = len(recording.targets)
-    colour = shade(TARGET)
-    axes.step(time, _targets_seen(recording), where="post", color=colour, linewidth=2.0)
+def _draw_tally(axes: "Axes", tally: Tally, time: np.ndarray) -> None:
+    most, colour = tally.number, shade(tally.colour)
+    axes.step(time, tally.values, where="post", color=colour, linewidth=2.0)
     axes.axhline(most, color="0.6", linewidth=0.8, linestyle="--", zorder=0.5)
     axes.set(ylim=(0.0, 1.12 * most), xlabel="time [s]")
-    axes.set_ylabel(f"targets seen\nof {most}", color=colour)
+    axes.set_ylabel(f"{tally.label} found\nof {most}", color=colour)
     axes.tick_params(axis="y", colors=colour)
     style_count(axes.yaxis, 4)
     axes.grid(color="0.2", alpha=0.12, linewidth=0.6)

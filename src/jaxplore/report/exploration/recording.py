@@ -64,7 +64,7 @@ class ExplorationRecording(ExplorationData, Recording):
         """Return functions that draw the figures, by file name without suffix."""
         draw = {"map": map_figure}
         # Each figure shows what the task is judged by: the coverage of a map that is known in
-        # advance says nothing, and a search for targets is not judged by idleness.
+        # advance says nothing.
         if not is_known_map(self):
             draw["coverage"] = coverage_figure
         if self.records.members is not None:
@@ -91,7 +91,7 @@ class ExplorationRecording(ExplorationData, Recording):
 
         Where they exist: `stop` of a robot with a guard; each field of `Members` as
         `members_NAME`, one row per step, with `member_names`; each field of the record of a part
-        under its name, and `PartReport.arrays`; `targets` (M, 2) [m]; `elevation` (H, W) [m] and
+        under its name, and `PartReport.arrays`; `elevation` (H, W) [m] and
         `traversable` (H, W) of the ground; `mover_radii` (M,) [m]; `footprint` (4, 2) corners of a
         rectangular robot [m]; of a robot that localised itself, `true_poses` and `estimated_poses`
         (N, 3) of its stored scans and the map `reference` (H, W) of the same scans at the true
@@ -106,7 +106,6 @@ class ExplorationRecording(ExplorationData, Recording):
             steps |= {f"members_{name}": rows for name, rows in members._asdict().items()}
             steps["member_names"] = np.asarray(self.member_names, np.str_)
         optional: dict[str, Any] = {
-            "targets": self.targets,
             "elevation": self.elevation,
             "traversable": self.traversable,
             "mover_radii": self.mover_radii,

@@ -280,7 +280,9 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
         num_targets=len(data.targets),
         targets_seen=0 if seen is None or not len(seen) else int(seen[-1]),
-        last_target_at=last_target_at(data),
+        last_target_at=last_target_at(
+            np.zeros(0) if seen is None else np.asarray(seen), len(data.targets), period
+        ),
         goal_distance=None
         if data.goal is None
         else float(np.linalg.norm(data.positions[-1] - data.goal)),

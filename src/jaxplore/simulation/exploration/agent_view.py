@@ -1,11 +1,13 @@
 """Exploration as a reinforcement-learning agent sees it."""
 
 import math
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxplore._types import Count, Flag, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
@@ -14,7 +16,10 @@ from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.belief_picture import belief_picture
 from jaxplore.report.exploration.data import ExplorationRecord
+from jaxplore.report.exploration.mission import MissionFrame
 from jaxplore.sensing.base import Sensor
+from jaxplore.simulation.exploration.frames import part_frames
+from jaxplore.simulation.exploration.recording import part_reports
 from jaxplore.simulation.exploration.state import ExplorationState, max_ranges
 from jaxplore.simulation.robot_fields import footprint_corners
 from jaxplore.simulation.scenario import AgentView, state_bounds
@@ -30,14 +35,13 @@ class ExplorationView(AgentView):
     `view_cells` is the side of the observed square of the map around the robot [cells]; None for
     the whole map. `map_shape` are the map's rows and columns, and `num_reachable` is the number of
     cells that the robot's centre can reach. `hover_steps` steps are simulated after the end.
-    `targets` are positions (M, 2) [m]. `has_goal` says whether the robot must end at a goal.
+    `has_goal` says whether the robot must end at a goal.
     """
 
     frame: GridFrame
     sensors: tuple[Sensor, ...]
     num_reachable: Scalar
     hover_steps: Count
-    targets: Float[Array, "M 2"]
     has_goal: bool = eqx.field(static=True)
     map_shape: tuple[int, int] = eqx.field(static=True)
 
@@ -105,8 +109,8 @@ class ExplorationView(AgentView):
 
     def has_ended(self, state: ExplorationState, ahead: ExplorationState) -> Flag:
         """Check whether the scenario is finished at the present position."""
-        # The state one step ahead includes the present scan, which may complete the coverage or the
-        # targets. But there the robot has moved, so a goal is checked at the present position.
+        # The state one step ahead includes the present scan, which may complete the coverage or
+        # what a part is about. But the robot has moved, so a goal is checked where it is.
         known = state if self.has_goal else ahead
         return known.finished > self.hover_steps
 
@@ -115,11 +119,15 @@ class ExplorationView(AgentView):
         return {"coverage": state.progress.coverage, "entropy": state.progress.entropy}
 
     def picture(self, state: ExplorationState, moment: Moment, trail: np.ndarray) -> np.ndarray:
-        """Draw the belief, the trail, the last scan, the targets and the robot.
+        """Draw the belief, the trail, the last scan, what parts show and the robot.
 
-        It is for spectators: targets that were not found yet are stars, which no observation tells.
+        It is for spectators: it shows targets that were not found yet, which no observation tells.
         """
-        robot, frame = self.scenario.robot, self.frame
+        robot, frame, known = self.scenario.robot, self.frame, state.belief
+        task: Any = self.scenario
+        about = task.truths, task.perception, known.parts, state.truths
+        shown = jax.tree.map(np.asarray, part_frames(about[0], *about[2:]))
+        now = MissionFrame(step=int(moment.step), time=float(moment.time), parts=shown)
         pose = np.asarray(robot.pose(moment.observed))
         angles = pose[2] + np.concatenate([sensor.beam_angles for sensor in self.sensors])
         directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -132,8 +140,8 @@ class ExplorationView(AgentView):
             radius=float(robot.radius),
             footprint=footprint_corners(robot.footprint),
             scan=pose[:2] + np.asarray(state.ranges)[:, None] * directions,
-            targets=np.asarray(self.targets),
-            is_found=np.asarray(state.is_seen),
+            parts=part_reports(*about, known.grid),
+            frame=now,
         )
 
 

@@ -3,11 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._types import ArrayLike, GridMask, Position, Rows, Scalar, StateVector
+from jaxplore._types import ArrayLike, GridMask, Position, Scalar, StateVector
 from jaxplore._xla import on_device
 from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception
@@ -54,17 +52,6 @@ def check_goal(
         )
 
 
-def check_targets(targets: Rows | None, world: OccupancyGrid, datum: Datum) -> Float[Array, "M 2"]:
-    """Check that targets are in free space, and return them (M, 2); M = 0 when absent."""
-    if targets is None:
-        return on_device(np.zeros((0, 2), np.float32))
-    given = _checks.floats("targets", targets, "(M, 2) with M >= 1")
-    if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != 2:
-        raise ValueError(f"targets has shape {given.shape}; accepted: (M, 2) with M >= 1")
-    check_spots("targets", given, world, datum)
-    return on_device(given.copy())
-
-
 def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid, datum: Datum) -> None:
     """Check that positions (M, 2) [m], relative to a datum, are in free space."""
     for index, spot in enumerate(spots):
@@ -109,28 +96,26 @@ def check_keep_out(
     perception: Perception,
     world: OccupancyGrid,
     pose: np.ndarray,
-    targets: Float[Array, "M 2"],
     datum: Datum,
 ) -> GridMask | None:
     """Return the cells (H, W) that the robot must not enter; None if it may enter all.
 
     Raises:
-        ValueError: a start (x, y, yaw) [m, m, rad] in one of them, or all targets.
+        ValueError: a start (x, y, yaw) [m, m, rad] in one of them.
     """
     closed = perception.closed_cells(world)
     if closed is None:
         return None
-    places = np.concatenate([np.asarray(pose[:2], np.float32)[None], np.asarray(targets)])
-    cells = world.frame.to_cell(jnp.asarray(places))
-    is_in = np.asarray(world.contains(cells) & closed[tuple(jnp.moveaxis(cells, -1, 0))])
-    if is_in[0]:
+    if is_closed(closed, world, np.asarray(pose[None, :2], np.float32))[0]:
         x, y = datum.round_to_map(pose[:2]).tolist()
         raise ValueError(f"start is ({x:g}, {y:g}), in a keep-out area; accepted: outside of all")
-    if len(targets) and is_in[1:].all():
-        raise ValueError(
-            f"targets are {len(targets)}, all in keep-out areas; accepted: one outside at least"
-        )
     return closed
+
+
+def is_closed(closed: GridMask, world: OccupancyGrid, places: np.ndarray) -> np.ndarray:
+    """Return which places (N, 2) [m] are in cells (H, W) that the robot must not enter."""
+    cells = world.frame.to_cell(jnp.asarray(places))
+    return np.asarray(world.contains(cells) & closed[tuple(jnp.moveaxis(cells, -1, 0))])
 
 
 def check_perception(

@@ -3,9 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import jax.numpy as jnp
-from jaxtyping import Array, Bool
-
 from jaxplore._types import Count, Flag, Position, Scalar
 from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.base import Dynamics
@@ -62,7 +59,7 @@ def choose_target(target: str | None, *, has_coverage: bool, is_patrol: bool) ->
 
 def is_finished(
     progress: MapProgress,
-    is_seen: Bool[Array, " M"],
+    is_told: Flag | None,
     target: Count,
     target_coverage: Scalar,
     known: Knowledge,
@@ -73,15 +70,15 @@ def is_finished(
 ) -> Flag:
     """Check whether an exploration is finished; see `ExplorationScenario`.
 
-    `target` is what it ends by, an index into `TARGETS`. With M > 0 targets, `is_seen` (M,) counts
-    instead. `target_coverage` is a share of the reachable cells, or of the walls if `counts_walls`,
-    which is static. `is_there` says whether the goal is reached; None without a goal. `max_unknown`
-    is the share of unknown cells below which the map is explored; it counts only with a goal.
+    `target` is what it ends by, an index into `TARGETS`. `is_told` is what truths of parts say,
+    which counts instead; None if they say nothing. `target_coverage` is a share of the reachable
+    cells, or of the walls if `counts_walls`, which is static. `is_there` says whether the goal is
+    reached; None without a goal. `max_unknown` is the share of unknown cells below which the map is
+    explored; it counts only with a goal.
     """
-    has_targets = is_seen.shape[0] > 0
     is_done = known.idle >= DONE_AFTER
-    if has_targets:
-        is_covered = jnp.all(is_seen)
+    if is_told is not None:
+        is_covered = is_told
     else:
         # The target is traced, so that a search or an environment may change it.
         share = known.walls if counts_walls else progress.coverage
@@ -89,21 +86,20 @@ def is_finished(
         is_covered = ends_by_share & (share >= target_coverage) | (target == _INFORMATION) & is_done
     if is_there is None:
         return is_covered
-    # Targets are an end of their own: seeing all of them counts, not how much of the map is known.
-    if not has_targets:
+    # What a part is about is an end of its own, however much of the map is known.
+    if is_told is None:
         is_covered |= is_done | (progress.unknown_map < max_unknown)
     return is_there & is_covered
 
 
 def default_objective(
-    num_targets: int, goal: Position | None, target: str, endless: Sequence[str]
+    goal: Position | None, target: str, ends: Sequence[str], endless: Sequence[str]
 ) -> str:
     """Return the default objective: time to the end, plus contacts.
 
+    `ends` are metrics of truths that end the task, the first of which takes the place of the time.
     For a run without an end it is the first of the metrics `endless`, if there are any.
     """
-    if num_targets:
-        return "last_target_at + 100*collisions"
-    if goal is None and target == NEVER and endless:
-        return f"{endless[0]} + 100*collisions"
-    return "finished_at + 100*collisions"
+    is_endless = goal is None and target == NEVER
+    found = next(iter((*ends, *(endless if is_endless else ()))), "finished_at")
+    return f"{found} + 100*collisions"

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxplore._types import StateVector
 from jaxplore.belief.belief import Belief
@@ -22,17 +22,17 @@ def frame_arrays(
     sensor: Sensor,
     state: StateVector,
     belief: Belief,
-    is_seen: Bool[Array, " T"],
     scan: Scan,
     movers: Float[Array, "M 3"] | None,
     plan: SampledPlan | None,
     truths: Sequence[PartTruth],
+    states: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the arrays of an `ExplorationFrame`, by field.
 
-    The scan is from the robot's true pose. `is_seen` (M,) says which targets have been found.
-    `movers` are (x, y, radius) of each moving obstacle [m]; None without any. Without `plan`, none
-    is shown. `truths` are what is true of the robot's parts.
+    The scan is from the robot's true pose. `movers` are (x, y, radius) of each moving obstacle [m];
+    None without any. Without `plan`, none is shown. `truths` are what is true of the robot's parts,
+    and `states` their states, by name.
     """
     pose = robot.pose(state)
     angles = pose[2] + jnp.asarray(sensor.beam_angles)
@@ -54,8 +54,7 @@ def frame_arrays(
         "heading": pose[2],
         "reference": nowhere,
         "movers": nowhere if movers is None else movers[:, :2],
-        "is_found": is_seen,
-        "parts": part_frames(truths, belief.parts),
+        "parts": part_frames(truths, belief.parts, states),
         "tracks": tracks,
         "terms": {},
         "sample_terms": {},
@@ -73,9 +72,18 @@ def frame_arrays(
     }
 
 
-def part_frames(truths: Sequence[PartTruth], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arrays that a frame has of parts, by name; `known` are the states of parts."""
-    frames = {each.name: each.frame(known[each.name]) for each in truths if each.name in known}
+def part_frames(
+    truths: Sequence[PartTruth], known: Mapping[str, Any], states: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the arrays that a frame has of parts, by name.
+
+    `known` are the states of parts, and `states` those of their truths.
+    """
+    frames = {
+        each.name: each.frame(known.get(each.name), states.get(each.name))
+        for each in truths
+        if each.name in known or each.name in states
+    }
     return {name: each for name, each in frames.items() if each is not None}
 
 

@@ -1,14 +1,14 @@
 """What is true of a robot's map and pose, for the record: the robot knows nothing of it."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxplore._types import Flag, GridMask, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
@@ -20,10 +20,11 @@ from jaxplore.report.exploration.data import LocalisationData, MapProgress
 from jaxplore.robot.clock import when_due
 from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import Measurement, RobotState, Sight
-from jaxplore.sensing.base import update_grid
+from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
-from jaxplore.simulation.exploration.part_truth import PartTruth
+from jaxplore.simulation.exploration.part_truth import PartTruth, Vantage
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
+from jaxplore.simulation.exploration.true_world import TrueWorld
 
 
 class TrueTrack(NamedTuple):
@@ -89,23 +90,18 @@ class Judged(NamedTuple):
 
     `sums` and `progress` are those of its map, as of the last map update. If the robot does not
     know its pose, they are those of the map that its scans give at their true poses, and `track` is
-    where it was; None otherwise. `is_seen` (M,) says whether each target has been found: seen, or
-    recognised by a detector.
+    where it was; None otherwise.
     """
 
     sums: MapSums
     progress: MapProgress
-    is_seen: Bool[Array, " M"]
     track: TrueTrack | None
 
     @classmethod
-    def at_start(
-        cls, belief: Belief, reachable: GridMask, num_targets: int, track: TrueTrack | None
-    ) -> "Judged":
+    def at_start(cls, belief: Belief, reachable: GridMask, track: TrueTrack | None) -> "Judged":
         """Return what is said before the first scan; `track` is None if the pose is known."""
         sums = MapSums.of(belief.grid.probability, reachable)
-        progress = map_progress(sums, belief.grid)
-        return cls(sums, progress, jnp.zeros(num_targets, bool), track)
+        return cls(sums, map_progress(sums, belief.grid), track)
 
 
 class Judge(NamedTuple):
@@ -158,59 +154,51 @@ class Judge(NamedTuple):
         is_due: Flag,
         pose: Pose,
         place: PoseKnowledge | None,
-        find: Callable[[], Bool[Array, " M"]],
+        truth: TrueWorld,
+        sensors: Sequence[Sensor],
     ) -> tuple[Judged, dict[str, Any]]:
         """Return what is said after the scans of a period, and the states of the truths of parts.
 
         `before` are the sums of the window before the scans. `own` is what the robot knows after
         them. `place` is what it knew of its pose before them; None if it knows its pose. `pose` is
-        its true pose [m, m, rad]. `is_mapped` says whether the scans are in the map. `find` returns
-        whether each target is in sight (M,), and one in sight is found, unless a part finds them
-        another way.
+        its true pose [m, m, rad]. `is_mapped` says whether the scans are in the map. `truth` is the
+        true world.
         """
 
         assert measured.time is not None
         time = measured.time
 
         def add(former: Judged, states: dict[str, Any]) -> tuple[Judged, dict[str, Any]]:
-            sums, _, is_seen, track = former
+            sums, _, track = former
             if place is None or own.place is None or track is None:
                 sums = sums.update(before, self.count_window(own.belief.grid, sight.pose))
             else:
                 track = track.add_scans(place, own.place, pose)
                 reference, sums = self._refer(track, sums, own, measured.scans, pose, is_mapped)
                 track = track._replace(reference=reference)
-            if is_seen.shape[0] > 0:
-                found = self._find_targets(own.belief)
-                is_seen = is_seen | find() if found is None else found
             progress = map_progress(sums, own.belief.grid)
-            said = self.judge_parts(states, own.belief, sums, time)
-            return Judged(sums, progress, is_seen, track), said
+            known = own.belief.parts
+            vantage = Vantage(truth, sensors, pose, self.perception.parts, known)
+            said = self.judge_parts(states, vantage, sums, time)
+            return Judged(sums, progress, track), said
 
         return when_due(is_due, sight.is_taken, add, (judged, truths))
 
     def judge_parts(
-        self, states: dict[str, Any], belief: Belief, sums: MapSums, time: Scalar
+        self, states: dict[str, Any], vantage: Vantage, sums: MapSums, time: Scalar
     ) -> dict[str, Any]:
         """Return the states of the truths of parts after scans; `sums` are those of the map."""
         number = sums.reachable.astype(jnp.float32)
         said = {
             each.name: each.judge(
-                *(states[each.name], belief.parts[each.name], self.reachable, number, time)
+                each.witness(states[each.name], vantage),
+                vantage.known.get(each.name),
+                *(self.reachable, number, time),
             )
             for each in self.truths
             if each.is_judging
         }
         return {**states, **said}
-
-    def _find_targets(self, belief: Belief) -> Bool[Array, " M"] | None:
-        """Return which targets a part has found (M,); None if none looks for them."""
-        for each in self.truths:
-            part, known = self.perception.part_named(each.name), belief.parts.get(each.name)
-            found = None if known is None else each.find_targets(part, known)
-            if found is not None:
-                return found
-        return None
 
     def _refer(
         self,

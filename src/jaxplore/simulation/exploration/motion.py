@@ -56,7 +56,6 @@ def move(
         is_finite=info.is_finite,
         is_faulty=is_faulty,
         members=info.members,
-        targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
         stop=stop,
         parts={name: each for name, each in records.items() if each is not None},
         **_error(state, robot.pose(state.robot)),

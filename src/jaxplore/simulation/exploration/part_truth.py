@@ -1,13 +1,12 @@
 """The protocol of what is true of a part of a robot, and is not known to it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
 from jaxplore import _kinds
 from jaxplore._types import ControlVector, Flag, GridMask, Key, Pose, Scalar, StateVector
@@ -29,7 +28,7 @@ class Site(NamedTuple):
         robot: the true model.
         perception: what runs on board.
         start: (3,) pose at the start [m, m, rad].
-        targets: (M, 2) positions of the targets [m].
+        truths: what is true of the robot's parts, as it was given.
         reachable: (H, W) cells that the robot's centre can reach.
         datum: point to which positions are relative.
     """
@@ -38,9 +37,17 @@ class Site(NamedTuple):
     robot: Dynamics
     perception: Perception
     start: np.ndarray
-    targets: Float[Array, "M 2"]
+    truths: "tuple[PartTruth, ...]"
     reachable: np.ndarray
     datum: Datum
+
+    def truth[Kind: PartTruth](self, kind: "type[Kind]") -> "Kind | None":
+        """Return the truth of a class, as it was given; None without one.
+
+        Args:
+            kind: the class.
+        """
+        return next((each for each in self.truths if isinstance(each, kind)), None)
 
 
 class Drive(NamedTuple):
@@ -63,6 +70,24 @@ class Drive(NamedTuple):
     period: Scalar
 
 
+class Vantage(NamedTuple):
+    """A robot in the true world, when its scans are in its map.
+
+    Args:
+        truth: the true world.
+        sensors: sensors of the robot.
+        pose: true pose (x, y, yaw) [m, m, rad].
+        parts: parts of the robot.
+        known: states of the parts, by name.
+    """
+
+    truth: TrueWorld
+    sensors: Sequence[Sensor]
+    pose: Pose
+    parts: tuple[Part, ...]
+    known: Mapping[str, Any]
+
+
 class PartTruth(eqx.Module):
     """What is true of a part of a robot, which the robot does not know, and what is judged of it.
 
@@ -81,7 +106,8 @@ class PartTruth(eqx.Module):
     is_moving: ClassVar[bool] = False
     """Whether where the robot gets to depends on it."""
     is_judging: ClassVar[bool] = False
-    """Whether `judge` reads what the robot knows; it then has a state."""
+    """Whether it is judged after scans, by `witness` and `judge`; it then has a state, of a fleet
+    one for all robots beside that of each."""
 
     def bind(self, site: Site) -> "PartTruth":
         """Return the truth at a site.
@@ -127,25 +153,34 @@ class PartTruth(eqx.Module):
         return None
 
     def judge(self, own: Any, known: Any, reachable: GridMask, number: Scalar, time: Scalar) -> Any:
-        """Return the state after the robot has mapped scans.
+        """Return the state by what the robot knows after it has mapped scans.
 
         Args:
             own: the state before.
-            known: state of the robot's part.
+            known: state of the robot's part; None without one.
             reachable: (H, W) cells that the robot can reach.
             number: number of these cells.
             time: time since the start [s].
         """
         return own
 
-    def find_targets(self, part: Any, known: Any) -> Bool[Array, " M"] | None:
-        """Return which targets the robot has found by its part; None for those that it saw.
+    def witness(self, own: Any, vantage: Vantage) -> Any:
+        """Return the state after scans by what the robot meets in the true world, before `judge`.
 
         Args:
-            part: the robot's part.
-            known: state of the robot's part.
+            own: the state before.
+            vantage: the robot in the true world.
         """
-        return None
+        return own
+
+    def unite(self, told: Any, pose: Pose) -> Any:
+        """Return the state of all robots of a fleet, before `judge` judges what they know together.
+
+        Args:
+            told: states of N robots, stacked along a first axis.
+            pose: true pose (x, y, yaw) of the first robot at the start [m, m, rad].
+        """
+        return self.init(pose)
 
     def drive(self, own: Any, drive: Drive) -> StateVector:
         """Return where the robot gets to (nx,) in a period, before contact is looked for.
@@ -164,6 +199,17 @@ class PartTruth(eqx.Module):
             drive: the motion.
         """
         return own
+
+    def is_finished(self, own: Any) -> Flag | None:
+        """Return whether the task is finished; None if other things decide.
+
+        A truth that overrides it takes the place of the map as the end of an exploration, which is
+        not given up then. It is judging.
+
+        Args:
+            own: the state, of a fleet that of all robots.
+        """
+        return None
 
     def is_over(self, own: Any) -> Flag | None:
         """Return whether the run ends; None if it never does for this.
@@ -191,11 +237,12 @@ class PartTruth(eqx.Module):
         everybody = jnp.ones(len(jax.tree.leaves(told)[0]), bool)
         return part.merge(jax.tree.map(lambda leaf: leaf[0], told), told, everybody)
 
-    def frame(self, known: Any) -> Any:
+    def frame(self, known: Any, own: Any) -> Any:
         """Return arrays that a frame has, by name or as a NamedTuple; None without any.
 
         Args:
-            known: state of the robot's part.
+            known: state of the robot's part; None without one.
+            own: the state; None without one, of a fleet that of all robots if it is judging.
         """
         return None
 
@@ -205,14 +252,19 @@ class PartTruth(eqx.Module):
         Args:
             part: the robot's part.
             known: state of the robot's part at the end; None without one.
-            own: the state at the end.
+            own: the state at the end; of a fleet those of all robots, stacked along a first axis.
             grid: the robot's map.
         """
         return None
 
+    @property
+    def ends_task(self) -> bool:
+        """Whether the task is finished by it."""
+        return type(self).is_finished is not PartTruth.is_finished
+
 
 def as_truths(truths: Sequence[PartTruth], parts: Sequence[Part]) -> tuple[PartTruth, ...]:
-    """Return the truths of a robot's parts in the order of the parts, and then the others.
+    """Return what ends the task, the truths of a robot's parts in their order, and the others.
 
     Raises:
         ValueError: something that is no truth, two of one name, or one of a part that the robot
@@ -236,4 +288,6 @@ def as_truths(truths: Sequence[PartTruth], parts: Sequence[Part]) -> tuple[PartT
     of_parts = [
         given.get(name) or defaults[name]() for name in names if name in {*given, *defaults}
     ]
-    return (*of_parts, *(each for name, each in given.items() if name not in names))
+    found = (*of_parts, *(each for name, each in given.items() if name not in names))
+    # Other truths and their layers of pictures are about what the task is about.
+    return tuple(sorted(found, key=lambda each: not each.ends_task))

@@ -53,7 +53,6 @@ def make_recording(
         given_up_step=run.num_steps if is_given_up else None,
         target=one.target,
         target_coverage=float(coverage) if has_coverage_target(coverage) else None,
-        targets=np.asarray(one.targets),
         member_names=member_names,
         world=np.asarray(world.probability),
         belief=belief,

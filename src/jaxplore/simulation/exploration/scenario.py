@@ -22,7 +22,6 @@ from jaxplore._types import (
     Key,
     Pose,
     Position,
-    Rows,
     Scalar,
     StateVector,
     Vector,
@@ -110,9 +109,8 @@ class ExplorationScenario(Scenario):
     - With a goal: when the robot has reached it (`GoalCheck`), with less than `max_unknown` of the
       map unknown, at the target coverage, or with nothing left to learn. With a goal apart (see
       `Perception`) the robot drives to the goal first and explores on the way.
-    - With `targets`: when the first sensor has seen all of them, or recognised all of them if the
-      perception has a `Recognition`.
-    - With a watch, without target coverage, goal and targets: never before the time limit.
+    - With a truth that ends the task, such as `jaxplore.parts.Targets`: when it says so.
+    - With a watch, without target coverage, goal and such a truth: never before the time limit.
 
     If only the map counts, the exploration is given up when the coverage, or the share of walls
     that is the target, has not risen by 0.1 % for `give_up_after`: what is left cannot be seen from
@@ -162,7 +160,6 @@ class ExplorationScenario(Scenario):
         altitude: z of the start, for robots that have one [m].
         hover_time: time that is simulated after the end [s].
         faults: injected faults; none when absent.
-        targets: (M, 2) positions of the targets to find [m]; none when absent.
         moving_obstacles: true moving obstacles; none when absent. The robot
             finds them in the scans (`ObstacleTracker`). Their start is drawn from the run's key.
         tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
@@ -179,10 +176,10 @@ class ExplorationScenario(Scenario):
         ValueError: a part of another class; a perception made for another range, resolution or
             goal; a start that is off the map, in a wall, in unknown space, or so close to either
             that the robot touches it; a rate that is not positive, above the control rate or no
-            whole fraction of it; a start or all targets in keep-out areas; a target coverage
-            outside (0, 1]; a prior or walls of another shape; a goal off the map, in a wall, or
-            where the robot cannot get from its start; a target off the map or in a wall; a truth of
-            a part that the robot does not have, or that cannot be in this world.
+            whole fraction of it; a start in a keep-out area; a target coverage outside (0, 1]; a
+            prior or walls of another shape; a goal off the map, in a wall, or where the robot
+            cannot get from its start; a truth of a part that the robot does not have, or that
+            cannot be in this world.
     """
 
     frame_type = ExplorationFrame
@@ -207,7 +204,6 @@ class ExplorationScenario(Scenario):
     max_unknown: Scalar
     hover_steps: Count
     faults: Faults | None
-    targets: Float[Array, "M 2"]
     moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
     truths: tuple[PartTruth, ...]
@@ -240,7 +236,6 @@ class ExplorationScenario(Scenario):
         altitude: float = 0.0,
         hover_time: float = 0.0,
         faults: Faults | None = None,
-        targets: Rows | None = None,
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector | None = None,
         truths: Sequence[PartTruth] = (),
@@ -287,16 +282,16 @@ class ExplorationScenario(Scenario):
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
-        self.targets = checks.check_targets(targets, world, datum)
-        closed = checks.check_keep_out(perception, world, pose, self.targets, datum)
+        closed = checks.check_keep_out(perception, world, pose, datum)
         if closed is not None:
             passable = passable.with_solid(closed)
         reachable = on_device(drivable_cells(passable, pose, robot, perception, datum))
         check_carrying(self.faults, world, reachable, datum)
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
-        site = Site(world, robot, perception, pose, self.targets, np.asarray(reachable), datum)
-        self.truths = tuple(each.bind(site) for each in as_truths(truths, perception.parts))
+        given = as_truths(truths, perception.parts)
+        site = Site(world, robot, perception, pose, given, np.asarray(reachable), datum)
+        self.truths = tuple(each.bind(site) for each in given)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -375,9 +370,9 @@ class ExplorationScenario(Scenario):
         return TARGETS[int(self.ends_by)]
 
     @property
-    def num_targets(self) -> int:
-        """Number of targets, M."""
-        return int(self.targets.shape[0])
+    def ends_by_parts(self) -> bool:
+        """Whether the truths of parts say when the task is finished, in place of the map."""
+        return any(each.ends_task for each in self.truths)
 
     @property
     def steps_per_measurement(self) -> int:
@@ -392,8 +387,12 @@ class ExplorationScenario(Scenario):
     @property
     def objective(self) -> str:
         """Default objective: time to the end, or what is true of a part says, plus contacts."""
-        endless = [each.objective for each in self.truths if each.objective is not None]
-        return default_objective(self.num_targets, self.goal, self.target, endless)
+        known = [each for each in self.truths if each.objective is not None]
+        ends, endless = (
+            [str(each.objective) for each in known if each.ends_task is ends]
+            for ends in (True, False)
+        )
+        return default_objective(self.goal, self.target, ends, endless)
 
     @property
     def metric_groups(self) -> tuple[str, ...]:
@@ -416,7 +415,7 @@ class ExplorationScenario(Scenario):
         moving = self.moving_obstacles
         if moving is not None and key is not None:
             moving = moving.at_random_phase(key)
-        reachable, number = self.map_arrays.reachable, self.num_targets
+        reachable = self.map_arrays.reachable
         place, odometer, pose = None, None, self.robot.pose(self.start)
         if self.localisation is not None:
             place = self.localisation.init(pose, belief.grid, self.sensors, estimator_key(key))
@@ -426,7 +425,6 @@ class ExplorationScenario(Scenario):
             self.start,
             belief,
             reachable,
-            number,
             moving,
             self.sensors,
             pose=pose,
@@ -543,7 +541,8 @@ class ExplorationScenario(Scenario):
             is_due=is_due,
             pose=pose,
             place=place,
-            find=lambda: self.sensors[0].sees(truth.grid, pose, self.targets, truth.ground),
+            truth=truth,
+            sensors=self.sensors,
         )
         coverage = judged.progress.coverage
         gain = state.gain.update(coverage, self.control_period, own.belief.is_sent)
@@ -670,7 +669,7 @@ class ExplorationScenario(Scenario):
         for each in self.truths:
             ended = each.is_over(state.truths.get(each.name))
             is_over = is_over if ended is None else is_over | ended
-        if self.goal is None and self.num_targets == 0:
+        if self.goal is None and not self.ends_by_parts:
             is_over = is_over | (self.is_finished(state) & (self.hover_steps == 0))
         return ~is_over
 
@@ -682,7 +681,19 @@ class ExplorationScenario(Scenario):
         """
         is_there = self.is_at_goal(state)
         end = (self.ends_by, self.target_coverage, state.own.knowledge, is_there, self.max_unknown)
-        return is_finished(state.progress, state.is_seen, *end, counts_walls=self.counts_walls)
+        told = self.is_finished_by_parts(state.truths)
+        return is_finished(state.progress, told, *end, counts_walls=self.counts_walls)
+
+    def is_finished_by_parts(self, states: Mapping[str, Any]) -> Flag | None:
+        """Check whether the truths of parts say that the task is finished; None if it ends by the
+        map.
+
+        Args:
+            states: their states by name, of a fleet those of all robots.
+        """
+        told = [each.is_finished(states.get(each.name)) for each in self.truths if each.ends_task]
+        said = [each for each in told if each is not None]
+        return functools.reduce(jnp.logical_and, said) if said else None
 
     def is_at_goal(self, state: ExplorationState) -> Flag | None:
         """Check whether the robot is at its goal (`GoalCheck`); None without a goal."""
@@ -700,7 +711,7 @@ class ExplorationScenario(Scenario):
         Args:
             state: the task's state, of one robot or of a fleet that it is one of.
         """
-        if self.goal is not None or self.num_targets > 0:
+        if self.goal is not None or self.ends_by_parts:
             return jnp.array(False)
         is_judged = (self.ends_by != TARGETS.index(NEVER)) & (state.finished == 0)
         since = state.gain.since
@@ -729,8 +740,8 @@ class ExplorationScenario(Scenario):
         motion = self.instruments.scan_motion(state, moment)
         scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key, motion)
         plan = None if inspect is None else inspect(moment.observed, state.belief)
-        seen = (self.robot, self.sensors[0], state.robot, state.belief, state.is_seen)
-        return frame_arrays(*seen, scan, truth.discs, plan, self.truths)
+        seen = (self.robot, self.sensors[0], state.robot, state.belief)
+        return frame_arrays(*seen, scan, truth.discs, plan, self.truths, state.truths)
 
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
@@ -750,7 +761,6 @@ class ExplorationScenario(Scenario):
             sensors=self.sensors,
             num_reachable=self.num_reachable,
             hover_steps=self.hover_steps,
-            targets=self.targets,
             has_goal=self.goal is not None,
         )
 

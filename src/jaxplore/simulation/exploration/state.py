@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Count, GridMask, Pose, Scalar, StateVector
 from jaxplore.belief.belief import Belief
@@ -75,11 +75,6 @@ class ExplorationState(NamedTuple):
         return self.judged.progress.coverage
 
     @property
-    def is_seen(self) -> Bool[Array, " M"]:
-        """Whether each of the M targets has been found."""
-        return self.judged.is_seen
-
-    @property
     def localisation(self) -> LocalisationData | None:
         """Where the robot was and took itself to be, on the host; None if it knows its pose."""
         place, track = self.own.place, self.judged.track
@@ -109,7 +104,6 @@ def initial_state(
     start: StateVector,
     belief: Belief,
     reachable: GridMask,
-    num_targets: int,
     moving: MovingObstacles | None,
     sensors: Sequence[Sensor],
     *,
@@ -131,7 +125,7 @@ def initial_state(
     if moving is not None and belief.tracks is None:
         belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
     track = None if place is None else TrueTrack.at_start(pose, place, belief.grid)
-    judged = Judged.at_start(belief, reachable, num_targets, track)
+    judged = Judged.at_start(belief, reachable, track)
     points, unfit = None, None
     if is_guarded:
         unfit = jnp.asarray(FITTING)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
 import numpy as np
 
 from jaxplore import _kinds
@@ -45,11 +46,6 @@ def check_members(
         )
         if each is not first and not is_same:
             raise ValueError(f"robots[{index}] is in another world; accepted: that of robots[0]")
-        if not np.array_equal(each.targets, first.targets):
-            raise ValueError(
-                f"targets of robots[{index}] differ; accepted: those of robots[0], for which all "
-                "robots look"
-            )
         ends = [
             None if one.goal is None else np.asarray(one.goal).tolist() for one in (each, first)
         ]
@@ -74,6 +70,12 @@ def check_members(
                 f"truths of robots[{index}] are {names[0]}; accepted: those of robots[0], "
                 f"{names[1]}"
             )
+        for own, other in zip(each.truths, first.truths, strict=True):
+            if own.ends_task and not eqx.tree_equal(own, other):
+                raise ValueError(
+                    f"{own.name} of robots[{index}] differ; accepted: those of robots[0], which "
+                    "end the task of all"
+                )
         for name in ("control_period", "steps_per_scan", "steps_per_field"):
             here, there = (np.asarray(getattr(one, name)).item() for one in (each, first))
             if here != there:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._equal_objects import Alike
+from jaxplore._trees import stack_trees
 from jaxplore._types import Count, GridMask, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles, Plans
 from jaxplore.control.base import Info
@@ -33,13 +34,11 @@ class Known(NamedTuple):
     """What the robots of a fleet know together.
 
     `coverage` is the share of the reachable cells that some robot knows to be free, `coverages`
-    (N,) that of each, and `is_seen` (M,) says which targets some robot has seen. `judged` is
-    that of `FleetState`.
+    (N,) that of each. `judged` is that of `FleetState`.
     """
 
     coverage: Scalar
     coverages: Float[Array, " N"]
-    is_seen: Bool[Array, " M"]
     judged: dict[str, Any]
 
 
@@ -105,38 +104,35 @@ class Talk(NamedTuple):
     def count_known(self, members: Sequence[ExplorationState], time: Scalar | None = None) -> Known:
         """Return what all robots know together; `time` is the time since the start, 0 when None."""
         judging = [each for each in self.members[0].truths if each.is_judging]
+        names = [each.name for each in judging]
         rows = self.share.gather(
             [
                 (
                     _free_cells(each),
                     each.progress.coverage,
-                    each.is_seen,
-                    {truth.name: each.belief.parts[truth.name] for truth in judging},
+                    {name: known for name, known in each.belief.parts.items() if name in names},
+                    {name: each.truths[name] for name in names},
                 )
                 for each in members
             ]
         )
-        known, is_seen = (
-            functools.reduce(jnp.logical_or, [row[place] for row in rows]) for place in (0, 2)
-        )
+        known = functools.reduce(jnp.logical_or, [row[0] for row in rows])
         first = self.members[0]
         reachable, number = first.map_arrays.reachable, first.num_reachable
         found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
         now = jnp.zeros(()) if time is None else time
-        known_parts = gather_parts(first, [row[3] for row in rows])
-        # The judge looks at what all know together as if one robot had learned it, so it begins
-        # anew each time.
+        known_parts = gather_parts(first, [row[2] for row in rows])
+        told, pose = stack_trees([row[3] for row in rows]), first.robot.pose(first.start)
+        # The judge looks at what all know together as if one robot had learned it.
         judged = {
             each.name: each.judge(
-                each.init(first.robot.pose(first.start)),
-                known_parts[each.name],
-                reachable,
-                number,
-                now,
+                each.unite(told[each.name], pose),
+                known_parts.get(each.name),
+                *(reachable, number, now),
             )
             for each in judging
         }
-        return Known(found / number, jnp.stack([row[1] for row in rows]), is_seen, judged)
+        return Known(found / number, jnp.stack([row[1] for row in rows]), judged)
 
     def discs(self, state: FleetState) -> MovingDiscs | None:
         """Return all robots as discs that move; None for a robot alone."""
@@ -232,7 +228,7 @@ class Talk(NamedTuple):
             return tuple(after), self.count_known(state.members, moment.time), number
 
         obstacles = tuple(each.belief.obstacles for each in state.members)
-        before = Known(state.coverage, team.coverages, state.is_seen, state.judged)
+        before = Known(state.coverage, team.coverages, state.judged)
         # Between two scans nothing is told, and what is known together stays as it was: no map is
         # read.
         known, together, links = jax.lax.cond(
@@ -249,7 +245,6 @@ class Talk(NamedTuple):
         return state._replace(
             members=members,
             coverage=together.coverage,
-            is_seen=together.is_seen,
             judged=together.judged,
             team=team,
         )

@@ -69,8 +69,7 @@ def fleet_frame(
         "terms": {},
         "sample_terms": {},
         "tracks": jnp.zeros((0, 2, 2)),
-        "is_found": state.is_seen,
-        "parts": {**part_frames(one.truths, known), TEAM: {"links": heard}},
+        "parts": {**part_frames(one.truths, known, state.judged), TEAM: {"links": heard}},
     }
 
 

@@ -72,8 +72,8 @@ class Fleet(Scenario):
 
     The exploration is finished when the share of the reachable cells that some robot knows to be
     free is the target coverage, and given up as that of one robot is. With targets it is finished
-    when each one was seen by some robot, or recognised, and not given up. On a patrol it ends with
-    the time limit. What parts of the robots know is merged with the maps (`Part.merge`). Numbers
+    when each one was found by some robot, and not given up. On a patrol it ends with the time
+    limit. What parts of the robots know is merged with the maps (`Part.merge`). Numbers
     that concern all, the rates, the target coverage, the faults, are those of the first robot's
     exploration.
 
@@ -287,7 +287,6 @@ class Fleet(Scenario):
             tuple(members),
             known.coverage,
             Gain(known.coverage, jnp.zeros(())),
-            known.is_seen,
             jnp.zeros((), jnp.int32),
             self._talk.begin(members) if self.num_robots > 1 else None,
             known.judged,
@@ -311,9 +310,7 @@ class Fleet(Scenario):
         if known.team is None:
             alone = members[0]
             judged = {name: alone.truths[name] for name in known.judged}
-            known = known._replace(
-                coverage=alone.progress.coverage, is_seen=alone.is_seen, judged=judged
-            )
+            known = known._replace(coverage=alone.progress.coverage, judged=judged)
         else:
             known = self._talk.tell_when_due(known, known.team, moment)
         # While a robot is charged, nothing new may be seen.
@@ -406,7 +403,6 @@ class Fleet(Scenario):
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
             is_faulty=moment.is_faulty,
-            targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
             stop=moment.stop,
         )
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
@@ -473,13 +469,11 @@ class Fleet(Scenario):
         return ~is_over
 
     def is_finished(self, state: FleetState) -> Flag:
-        """Check whether the robots together know the target coverage, or have seen all targets, and
-        one of them is at the goal if there is one."""
+        """Check whether the robots together know the target coverage, or truths of parts say that
+        the task is finished, and one of them is at the goal if there is one."""
         first = self.members[0]
-        if state.is_seen.size:
-            is_covered = state.is_seen.all()
-        else:
-            is_covered = state.coverage >= first.target_coverage
+        told = first.is_finished_by_parts(state.judged)
+        is_covered = state.coverage >= first.target_coverage if told is None else told
         if first.goal is None:
             return is_covered
         if state.team is None:
@@ -488,7 +482,7 @@ class Fleet(Scenario):
         for one, each in zip(self.members, state.members, strict=True):
             is_there, is_done = one.is_at_goal(each), is_covered
             assert is_there is not None
-            if not state.is_seen.size:
+            if told is None:
                 is_done = is_done | each.belief.is_explored
             arrived.append(is_there & is_done)
         return jnp.stack(arrived).any()

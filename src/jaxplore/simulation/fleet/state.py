@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxplore._types import Count, Scalar, StateVector
 from jaxplore.belief.gain import Gain
@@ -35,17 +35,15 @@ class FleetState(NamedTuple):
 
     `robot` (nx,) are the true states of all robots, one after the other. `members` are the states
     of those that this process computes, each as an explorer. `coverage` is the share of the
-    reachable cells that some robot knows to be free, and `gain` its last rise. `is_seen` (M,) says
-    which targets some robot has seen. `finished` is the number of steps since the task was
-    finished; 0 before. `team` is None for a robot alone. `judged` are the states of truths of parts
-    that judge what the robots know together, by name.
+    reachable cells that some robot knows to be free, and `gain` its last rise. `finished` is the
+    number of steps since the task was finished; 0 before. `team` is None for a robot alone.
+    `judged` are the states of truths of parts that judge all robots together, by name.
     """
 
     robot: StateVector
     members: tuple[ExplorationState, ...]
     coverage: Scalar
     gain: Gain
-    is_seen: Bool[Array, " M"]
     finished: Count
     team: Team | None
     judged: dict[str, Any]

@@ -22,6 +22,8 @@ SHOWN = (
     "mean_deviation",
     "max_deviation",
     "corridor_violations",
+    "targets.seen",
+    "targets.last_at",
     "targets_seen",
     "last_target_at",
     "watch.mean_idleness",

@@ -90,7 +90,6 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         prior=world.prior,
         goal=None if world.goal is None else world.goal[:2],
         altitude=settings.altitude,
-        targets=world.targets or None,
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults, world.datum),
         localisation=build_localisation(

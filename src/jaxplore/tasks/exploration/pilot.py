@@ -81,7 +81,7 @@ def _check_parts(settings: Settings, node: NodeSettings) -> None:
     its own.
     """
     for each in CAPABILITIES:
-        if getattr(settings, each.name, None) is None or node.mode == "control":
+        if each.find_section(settings) is None or node.mode == "control":
             continue
         if node.mode == "goal" or each.sends_robot:
             raise ValueError(

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxplore.report.drawing.colours import FREE, TARGET, blend
+from jaxplore.report.drawing.colours import FREE, blend
 from jaxplore.report.drawing.palette import LIDAR_RAY, PAPER, REFERENCE
 from jaxplore.report.exploration.data import TEAM, ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.team import LINK, robot_colour
@@ -23,7 +23,7 @@ RAY = blend(LIDAR_RAY, FREE, 0.6)
 
 
 class ExplorationScene(Scene):
-    """The belief, targets, marks of parts and what moves.
+    """The belief, marks of parts and what moves.
 
     Of one robot also the information, the scan and what all tasks show. Of several robots the
     belief is what they know together, and each has its colour, with its way and plan. It reads
@@ -48,7 +48,6 @@ class ExplorationScene(Scene):
         self._is_team = TEAM in recording.parts
         if self._is_team:
             self.layers = ("belief", "robots", "trail", "plan", "links", "obstacles", "targets")
-        self._found: np.ndarray | None = None
         self._known: list[tuple[float, ...]] = []
         rows, columns = recording.frames[0].probability.shape
         shape, side = (rows, columns), recording.resolution
@@ -64,39 +63,27 @@ class ExplorationScene(Scene):
         self.look_at(corners @ turned + recording.origin[:2])
 
     def draw_targets(self, frame: ExplorationFrame, radius: float) -> None:
-        """Draw the goal and the targets, as discs for a robot of a radius [m]."""
+        """Draw the goal, and what parts mark, as discs for a robot of a radius [m]."""
         goal = self._recording.goal
         if goal is not None and "targets/goal" not in self._nodes:
             self.ring("targets/goal", goal, radius, REFERENCE)
-        if self._found is not None and np.array_equal(self._found, frame.is_found):
-            return
-        self._found = np.array(frame.is_found)
-        targets = self._recording.targets
-        for index, (place, is_found) in enumerate(zip(targets, frame.is_found, strict=True)):
-            # A target that was found is a pale disc.
-            colour = blend(TARGET, FREE, 0.3) if is_found else TARGET
-            name = f"targets/{index}"
-            if name in self._nodes:
-                self._nodes.pop(name).remove()
-            self.ring(name, place, 0.8 * radius, colour)
-
-    def draw_marks(self, frame: ExplorationFrame, radius: float) -> None:
-        """Draw a disc for each place that parts of the robot mark."""
-        parts = self._recording.parts.values()
-        known = [mark for each in parts for mark in each.marks(frame)]
-        shown = [(*place.tolist(), *colour) for place, colour in known]
+        known = [
+            (place, each.mark_size * radius, colour)
+            for each in self._recording.parts.values()
+            for place, colour in each.marks(frame)
+        ]
+        shown = [(*place.tolist(), size, *colour) for place, size, colour in known]
         if shown == self._known:
             return
         self._known = shown
-        for name in [each for each in self._nodes if each.startswith("objects/")]:
+        for name in [each for each in self._nodes if each.startswith("targets/marks/")]:
             self._nodes.pop(name).remove()
-        for index, (place, colour) in enumerate(known):
-            self.ring(f"objects/{index}", place, 0.6 * radius, colour)
+        for index, (place, size, colour) in enumerate(known):
+            self.ring(f"targets/marks/{index}", place, size, colour)
 
     def clear(self) -> None:
         """Remove everything that was drawn."""
         super().clear()
-        self._found = None
         self._known = []
         self._places = {}
 
@@ -121,7 +108,6 @@ class ExplorationScene(Scene):
         if len(radii):
             self.obstacles("obstacles", frame.movers[:, None], radii, HEAD_ROOM * 2.0 * radius)
         self.draw_targets(frame, radius)
-        self.draw_marks(frame, radius)
 
     def _draw_robots(self, frame: ExplorationFrame, places: np.ndarray) -> None:
         """Draw several robots, their ways and plans, and who hears whom."""

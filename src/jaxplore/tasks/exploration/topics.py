@@ -107,7 +107,6 @@ class ExplorationContent(Content):
         entities: dict[str, Any] = {
             **robots,
             "moving obstacles": (MAP, {"cylinders": movers}),
-            "targets": self.mark_targets(frame),
             "goal": (MAP, {"cylinders": goal}),
             "parts": (MAP, {"cylinders": objects}),
         }

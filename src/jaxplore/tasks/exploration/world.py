@@ -40,7 +40,6 @@ class RunWorld(NamedTuple):
     goal: tuple[float, ...] | None = None
     zones: tuple[tuple[float, ...], ...] = ()
     ground: Ground | None = None
-    targets: tuple[tuple[float, ...], ...] = ()
     movers: tuple[MovingObstacle, ...] = ()
     source: World | None = None
     datum: Datum = ORIGIN
@@ -130,7 +129,6 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
         world.goal if settings.goal is None else _local(settings.goal, datum),
         world.zones,
         world.ground(**options),
-        world.targets,
         world.movers,
         world,
         datum,

@@ -1,0 +1,1 @@
+"""Targets that are to be found, and end the task."""
