@@ -1,6 +1,6 @@
 """`python -m benchmarks.goals`: drives to goals on known maps, by several robots.
 
-Every drive ends when the goal is reached (`GoalCheck`), or after a minute. Maps are generated, and
+Every drive ends when the goal is reached (`Goal`), or after a minute. Maps are generated, and
 those of `JAXPLORE_MAPS` are added; all are cut to one size, so that a robot needs one program.
 """
 
@@ -25,7 +25,7 @@ from benchmarks.tables import Rows, markdown
 from jaxplore.belief import Belief
 from jaxplore.belief.car import car_motion
 from jaxplore.control import Controller
-from jaxplore.dynamics.goal_check import GoalCheck, Motion
+from jaxplore.dynamics.goal import Goal, Motion
 from jaxplore.maps.collision import clearance_reach, footprint_clearance
 from jaxplore.maps.files.ros import read_map
 from jaxplore.maps.generators.generated import KINDS
@@ -169,7 +169,7 @@ def drive(
         perception = eqx.tree_at(lambda each: each.goal_heading, perception, heading)
     belief: Belief = perception.init(jx.OccupancyGrid(cells, RESOLUTION), start)
     robot, controller, period, height = kind
-    check = GoalCheck.of(goal, heading=heading)
+    check = Goal.of(goal, heading=heading)
 
     def goes_on(carry: Any) -> Array:
         so_far: Drive = carry[2]

@@ -134,13 +134,15 @@ def hall(
     start: tuple[float, float, float] = (0.6, 1.5, 0.0),
     lidar: jx.Lidar = SHORT_LIDAR,
     faults: jx.Faults | None = NO_WALLS,
+    ends: dict[str, float] | None = None,
     **arguments: Any,
 ) -> jx.ExplorationScenario:
     """Return a robot at 20 Hz in a hall of 4 m x 3 m; one compiled loop for all with a goal."""
+    there = None if goal is None else jx.Goal(goal, **(ends or {}))
     perception = jx.Perception(lidar, 0.1, 0.2, sensor_model=SIGHT, num_directions=4, goal=goal)
     return jx.ExplorationScenario(
         jx.OccupancyGrid(world, 0.1), WALKER, lidar, start, perception=perception,
-        prior=None if prior is None else jx.OccupancyGrid(prior, 0.1), goal=goal,
+        prior=None if prior is None else jx.OccupancyGrid(prior, 0.1), goal=there,
         control_rate=20.0, sensing_rate=10.0, field_rate=5.0, faults=faults, **arguments,
     )  # fmt: skip
 

@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from jaxplore.dynamics import DifferentialDrive as DifferentialDrive
     from jaxplore.dynamics import Dynamics as Dynamics
     from jaxplore.dynamics import Euler as Euler
+    from jaxplore.dynamics import Goal as Goal
     from jaxplore.dynamics import Integrator as Integrator
     from jaxplore.dynamics import KinematicBicycle as KinematicBicycle
     from jaxplore.dynamics import Omnidirectional as Omnidirectional
@@ -180,6 +181,7 @@ _PACKAGES = {
         "DifferentialDrive",
         "Dynamics",
         "Euler",
+        "Goal",
         "Integrator",
         "KinematicBicycle",
         "Omnidirectional",

@@ -9,7 +9,7 @@ from tests import kinds
 
 from jaxplore import ExplorationScenario, Fleet, Perception
 from jaxplore.control.fleet_share import Share
-from jaxplore.dynamics.goal_check import Motion
+from jaxplore.dynamics.goal import Motion
 
 pytestmark = pytest.mark.long
 

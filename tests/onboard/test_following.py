@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.dynamics.goal_check import Motion
+from jaxplore.dynamics.goal import Motion
 from jaxplore.onboard import steps
 from jaxplore.onboard.following import MOST_LENGTH, NUM_NODES, path_of_points, pieces_of_points
 from jaxplore.onboard.options import Mode

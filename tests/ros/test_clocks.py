@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxplore.onboard.drive_clock import STANDSTILL_SECONDS, Instant
-from jaxplore.onboard.goals import Goal
+from jaxplore.onboard.goals import ChosenGoal
 from jaxplore.ros.control import LOOKS, Pace
 from jaxplore.ros.goal import MAX_AGE, GoalNode
 from jaxplore.ros.messages import Odometry
@@ -60,7 +60,7 @@ def chosen(clock, seconds, poses_until=np.inf, is_simulated=False):
 
     def update(now, *_):
         times.append(now)
-        return Goal(np.zeros(3), 1.0, 1.0)
+        return ChosenGoal(np.zeros(3), 1.0, 1.0)
 
     chooser = SimpleNamespace(update=update, num_dropped=0)
     node = GoalNode(link, chooser, NodeSettings(mode="goal"), 0.1)

@@ -42,8 +42,7 @@ def scenario_with(faults: Faults, **options) -> ExplorationScenario:
         START,
         perception=jx.Perception(LIDAR, 0.1, 0.2, num_directions=16, goal=GOAL),
         prior=rooms(),
-        goal=GOAL,
-        goal_radius=0.6,
+        goal=jx.Goal(GOAL, radius=0.6),
         faults=faults,
         localisation=Localisation(localiser=ParticleLocaliser(known)),
     ).with_guard(jx.MotionGuard())

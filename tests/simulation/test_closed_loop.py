@@ -13,7 +13,7 @@ from tests.kinds import AHEAD, HALL, HALL_CHUNK, HALL_GOAL, WALKER, Script, hall
 from jaxplore import DifferentialDrive, ExplorationScenario, OccupancyGrid
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.gain import Gain
-from jaxplore.dynamics.goal_check import Motion
+from jaxplore.dynamics.goal import Motion
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
@@ -27,6 +27,7 @@ from jaxplore.simulation.run import Run, record_run, simulate
 pytestmark = pytest.mark.long
 
 PASSING = 10.0  # a speed at which the robot may pass by its goal [m/s]
+NEAR = {"radius": 0.3, "speed": PASSING}
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
 ONE = jnp.asarray(1, jnp.int32)  # as record_run counts: a weak type would be another program
 
@@ -261,7 +262,7 @@ def test_only_the_same_unfinished_run_can_be_resumed(make, other_world) -> None:
 def test_frames_are_dense_at_first_and_thinned_out_evenly() -> None:
     """A film of five seconds has 60 frames, one of minutes not more than 120."""
     for num_steps, interval in ((150, 2), (350, 4)):
-        scenario = hall(target_coverage=None, max_unknown=0.0)
+        scenario = hall(target_coverage=None, ends={"max_unknown": 0.0})
         recording = record_run(AHEAD, scenario, num_steps, key=jax.random.key(0))
         steps = [frame.step for frame in recording.frames]
         assert 60 <= len(steps) <= 121
@@ -325,7 +326,7 @@ def test_a_run_without_rollouts_is_the_same_and_does_not_look_into_the_controlle
 def test_the_end_is_the_goal_and_a_known_map(
     is_there, is_known, is_covered, speed, turn_rate, idle
 ) -> None:
-    scenario = hall(goal_radius=0.5, max_unknown=0.25, target_coverage=0.75, goal_speed=0.2)
+    scenario = hall(ends={"radius": 0.5, "max_unknown": 0.25, "speed": 0.2}, target_coverage=0.75)
     # Half a metre away is not within half a metre, a quarter is not less than a quarter; the target
     # coverage itself is enough.
     robot = WALKER.at_pose(2.0 + (0.01 if is_there else 0.0), 1.5, 0.0)
@@ -339,7 +340,7 @@ def test_the_end_is_the_goal_and_a_known_map(
     state = ExplorationState(
         robot,
         RobotState(None, Knowledge(jnp.asarray(idle), nothing)),
-        Judged(None, progress, jnp.zeros(0, bool), None),
+        Judged(None, progress, None),
         Gain(progress.coverage, nothing),
         finished=jnp.zeros((), int),
         moving_obstacles=None,
@@ -389,7 +390,7 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
     world = HALL.copy()
     world[1:-1, 28:30] = 0.99  # x from 2.8 to 3 m
     # It passes by its goal.
-    scenario = hall(HALL, world, goal=(1.55, 2.45), goal_radius=0.1)
+    scenario = hall(HALL, world, goal=(1.55, 2.45), ends={"radius": 0.1})
     state, key = initial_loop_state(AHEAD, scenario), jax.random.key(0)
     known = np.asarray(state.task.belief.grid.unpad().probability)
     np.testing.assert_allclose(known, HALL, rtol=1e-6)
@@ -408,28 +409,28 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
 
 
 def test_a_known_hall_ends_where_the_goal_begins_and_hovering_is_extra() -> None:
-    recording = drive(hall(goal_radius=0.3, goal_speed=PASSING))
+    recording = drive(hall(ends=NEAR))
     distance = np.hypot(*(recording.positions[1:] - np.float32(HALL_GOAL)).T)
     last = int(np.argmax(distance < 0.3))
     assert 10 < last < 59
     assert recording.num_steps == recording.finished_step == last + 1
     assert recording.initial_unknown == 0.0
     np.testing.assert_allclose(recording.goal, HALL_GOAL)
-    hovering = drive(hall(goal_radius=0.3, goal_speed=PASSING, hover_time=0.7))
+    hovering = drive(hall(ends=NEAR, hover_time=0.7))
     assert hovering.num_steps == last + 1 + 14
     assert hovering.finished_step == last + 1
     np.testing.assert_array_equal(hovering.records.state[: last + 1], recording.records.state)
     # A run that is cut off while it hovers was finished all the same.
-    cut = drive(hall(goal_radius=0.3, goal_speed=PASSING, hover_time=0.7), last + 1 + 5)
+    cut = drive(hall(ends=NEAR, hover_time=0.7), last + 1 + 5)
     assert (cut.num_steps, cut.finished_step) == (last + 1 + 5, last + 1)
-    short = drive(hall(goal_radius=0.3, goal_speed=PASSING), last)
+    short = drive(hall(ends=NEAR), last)
     assert (short.num_steps, short.finished_step) == (last, None)
     # A robot that must stand there only passes by.
-    assert drive(hall(goal_radius=0.3)).finished_step is None
+    assert drive(hall(ends={"radius": 0.3})).finished_step is None
 
 
 def test_the_end_waits_for_the_map_and_the_map_for_the_goal() -> None:
-    passing = drive(hall(None, max_unknown=0.0, target_coverage=1.0))
+    passing = drive(hall(None, ends={"max_unknown": 0.0}, target_coverage=1.0))
     unknown = passing.records.unknown_map
     distance = np.hypot(*(passing.positions[1:] - np.float32(HALL_GOAL)).T)
     assert (distance < 1.5).any()
@@ -438,14 +439,14 @@ def test_the_end_waits_for_the_map_and_the_map_for_the_goal() -> None:
     for most, radius in ((0.7, 1.5), (0.6, 1.5), (0.6, 0.6), (0.95, 1.0)):
         is_over = (distance < radius) & (unknown < most)
         expected = int(np.argmax(is_over)) + 1 if is_over.any() else None
-        ends = {"max_unknown": most, "goal_radius": radius, "goal_speed": PASSING}
-        found = drive(hall(None, target_coverage=1.0, **ends))
+        ends = {"max_unknown": most, "radius": radius, "speed": PASSING}
+        found = drive(hall(None, target_coverage=1.0, ends=ends))
         assert found.finished_step == expected
         assert found.num_steps == (60 if expected is None else expected)
 
 
 def test_at_the_goal_with_all_known_one_step_is_the_run() -> None:
-    recording = drive(hall(start=(2.5, 1.5, 0.0), goal_speed=PASSING))
+    recording = drive(hall(start=(2.5, 1.5, 0.0), ends={"speed": PASSING}))
     assert (recording.num_steps, recording.finished_step) == (1, 1)
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import Faults, Lidar, Perception, Quadrotor
+from jaxplore import Faults, Goal, Lidar, Perception, Quadrotor
 from jaxplore.control.base import Controller
 from jaxplore.planning import waypoint_mppi
 from jaxplore.simulation.environment.action_modes import (
@@ -271,10 +271,8 @@ def test_waypoints_are_reached_around_walls_without_touching_and_end_at_the_goal
         lidar,
         (3.0, 2.0, 0.0),
         perception=Perception(lidar, 0.1, 0.2, num_directions=16, goal=goal, max_unknown=1.0),
-        goal=goal,
-        goal_radius=radius,
-        goal_speed=10.0,  # in motion, so that the step in which it gets there is known
-        max_unknown=1.0,
+        # In motion, so that the step in which it gets there is known.
+        goal=Goal(goal, radius, speed=10.0, max_unknown=1.0),
     )
     environment = Environment(
         to_goal,

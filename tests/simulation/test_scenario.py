@@ -26,6 +26,7 @@ from jaxplore import (
     start_pose,
 )
 from jaxplore.belief.car import car_motion
+from jaxplore.dynamics import Goal
 from jaxplore.geometry import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.collision import clearance_reach, disc_clearance
@@ -228,7 +229,7 @@ def test_hover_time_is_whole_steps() -> None:
 
 def test_the_perception_shares_the_goal() -> None:
     goal = (2.5, 0.5)
-    made = scenario(goal=goal, max_unknown=0.2)
+    made = scenario(goal=Goal(goal, max_unknown=0.2))
     np.testing.assert_allclose(made.perception.goal, goal)
     assert float(made.perception.max_unknown) == pytest.approx(0.2)
     assert scenario().perception.goal is None
@@ -282,15 +283,14 @@ TERRAIN = TerrainMap(GRID, Ground(np.zeros((30, 30)), 0.1, traversability=CLIFF)
     [
         ({"tracking_noise": (0.1,)}, "tracking_noise is .*; accepted: 2 finite numbers"),
         # Free, but behind the wall.
-        ({"goal": (1.5, 1.5)}, r"goal is \[1.5, 1.5\], which a robot of radius 0.2 m cannot reach"),
         (
-            {"goal": (1.5, 0.97), "goal_radius": 0.1},
-            "0.23 m is the nearest it gets; accepted",
+            {"goal": Goal((1.5, 1.5), 0.3)},
+            r"goal is \[1.5, 1.5\], which a robot of radius 0.2 m cannot reach",
         ),
+        ({"goal": Goal((1.5, 0.97), 0.1)}, "0.23 m is the nearest it gets; accepted"),
     ],
 )
 def test_what_cannot_be_seen_or_reached_is_named(arguments: dict, message: str) -> None:
-    arguments = {"goal_radius": 0.3, **arguments}
     with pytest.raises(ValueError, match=message) as error:
         scenario(**arguments)
     assert "\n" not in str(error.value)
@@ -314,9 +314,9 @@ def test_targets_that_cannot_be_seen_are_named(places: Any, message: str) -> Non
 
 
 def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
-    assert scenario(goal=(1.5, 0.97), goal_radius=0.25).goal is not None
+    assert scenario(goal=Goal((1.5, 0.97), radius=0.25)).goal is not None
     # Across the wall, but near enough.
-    assert scenario(goal=(1.5, 1.5), goal_radius=0.8).goal is not None
+    assert scenario(goal=Goal((1.5, 1.5), radius=0.8)).goal is not None
 
 
 def test_no_sensor_and_no_mover() -> None:
@@ -357,9 +357,7 @@ def test_ground_that_may_not_be_entered_is_out_of_reach() -> None:
         for one, other in zip(jax.tree.leaves(mine), jax.tree.leaves(expected), strict=True):
             np.testing.assert_array_equal(one, other)
     with pytest.raises(ValueError, match=r"goal is .* cannot reach from its start"):
-        ExplorationScenario(
-            TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), goal=(2.5, 0.5), goal_radius=0.3
-        )
+        ExplorationScenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), goal=Goal((2.5, 0.5), 0.3))
 
 
 def test_the_perception_shares_the_ground() -> None:
@@ -395,9 +393,9 @@ def test_never_is_a_coverage_that_is_not_reached() -> None:
 def test_a_goal_apart_is_reached_when_the_robot_is_there() -> None:
     goal = (2.5, 0.5)
     apart = Perception(LIDAR, 0.1, 0.2, goal=goal, is_goal_apart=True)
-    numbers = [(made.goal_radius, made.max_unknown) for made in (
+    numbers = [(made.goal.radius, made.goal.max_unknown) for made in (
         scenario(goal=goal), scenario(goal=goal, perception=apart),
-        scenario(goal=goal, perception=apart, goal_radius=0.7, max_unknown=0.3),
+        scenario(goal=Goal(goal, 0.7, max_unknown=0.3), perception=apart),
     )]  # fmt: skip
     np.testing.assert_allclose(numbers, [(0.15, 0.05), (0.15, 1.0), (0.7, 0.3)], rtol=1e-6)
 

@@ -50,7 +50,10 @@ def run(controller):
         [CAMERA], SIDE, QUADROTOR.radius, goal=GOAL, goal_heading=1.0, parts=[BOXES]
     )
     given = volume(
-        start=START, goal=GOAL, goal_heading=1.0, perception=seen, moving_obstacles=PEOPLE
+        start=START,
+        goal=jx.Goal(GOAL, heading=1.0),
+        perception=seen,
+        moving_obstacles=PEOPLE,
     )
     return record_run(controller, given, 600, key=jax.random.key(0), num_trajectories=0)
 
@@ -238,7 +241,8 @@ def _with_box(place) -> jx.VolumePerception:
         ({"goal": GOAL, "perception": _with_box(GOAL)}, r"goal is \(6.5, 0.9, 1.3\), in a keep-"),
         ({"targets": [GOAL], "perception": _with_box(GOAL)}, "targets are 1, all in keep-out b"),
         ({"goal": (1.0, 2.0)}, "goal is .* accepted: 3 finite numbers"),
-        ({"goal": GOAL, "goal_radius": 0.0}, "goal_radius is 0.0; accepted"),
+        ({"goal": jx.Goal(GOAL, 0.0)}, "goal_radius is 0.0; accepted"),
+        ({"goal": jx.Goal(GOAL, max_unknown=0.2)}, "max_unknown of goal is 0.2; accepted"),
         (
             {
                 "goal": GOAL,

@@ -39,7 +39,7 @@ from jaxplore.belief.volume_goal import (
 from jaxplore.belief.volume_information import update_information
 from jaxplore.belief.volume_lattice import NODE, blank_field, points_of, volume_lattice
 from jaxplore.belief.volume_roads import NARROWEST, VolumeRoads
-from jaxplore.dynamics.goal_check import GOAL_RADIUS
+from jaxplore.dynamics.goal import GOAL_RADIUS
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import clearance_of_volume, update_clearance
 from jaxplore.maps.volume_field import VolumeField

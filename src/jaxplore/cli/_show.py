@@ -56,11 +56,11 @@ def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) ->
 
 def show_goal(settings: RunSettings, scenario: Any) -> None:
     """Print where the goal of a run is, and how near is enough."""
-    goal, radius = getattr(settings, "goal", None), getattr(scenario, "goal_radius", None)
-    if goal is not None and radius is not None:
+    goal, known = getattr(settings, "goal", None), getattr(scenario, "goal", None)
+    if goal is not None and known is not None:
         shown = " ".join(f"{part:.12g}" for part in goal)
         say(
-            f"Goal: {shown}, reached within {float(radius):g} m; another radius: --set "
+            f"Goal: {shown}, reached within {float(known.radius):g} m; another radius: --set "
             "goal_radius=METRES",
             err=True,
         )

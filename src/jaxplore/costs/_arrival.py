@@ -13,7 +13,7 @@ from jaxplore.belief.car_roads import CarGuidance
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.costs._contact import offset
 from jaxplore.dynamics.base import State
-from jaxplore.dynamics.goal_check import ARM
+from jaxplore.dynamics.goal import ARM
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.reeds_shepp import lengths
 from jaxplore.geometry.vectors import length

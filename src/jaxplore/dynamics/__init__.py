@@ -7,6 +7,7 @@ from jaxplore.dynamics.base import Dynamics as Dynamics
 from jaxplore.dynamics.base import State as State
 from jaxplore.dynamics.differential_drive import DifferentialDrive as DifferentialDrive
 from jaxplore.dynamics.formation import Formation as Formation
+from jaxplore.dynamics.goal import Goal as Goal
 from jaxplore.dynamics.integrators import RK4 as RK4
 from jaxplore.dynamics.integrators import Euler as Euler
 from jaxplore.dynamics.integrators import Integrator as Integrator

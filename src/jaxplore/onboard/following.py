@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from jaxplore._xla import on_device
 from jaxplore.belief.perception import Perception
-from jaxplore.dynamics.goal_check import GOAL_RADIUS, STANDING, GoalCheck, Motion
+from jaxplore.dynamics.goal import GOAL_RADIUS, STANDING, Goal, Motion
 from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.curves import cusps
 from jaxplore.geometry.path import Path
@@ -100,7 +100,7 @@ class Following(DriveTask):
         """Return why the robot stands; empty if it drives."""
         if self._path is None:
             return "no path yet"
-        if not self.is_done and GoalCheck(self._end, GOAL_RADIUS).is_reached(place, motion):
+        if not self.is_done and Goal(self._end, GOAL_RADIUS).is_reached(place, motion):
             # At a cusp the next piece begins.
             self._is_new = bool(self._pieces)
             self.is_done = not self._is_new

@@ -25,7 +25,7 @@ NUM_HEADINGS = 16
 """Number of headings that are compared at a goal."""
 
 
-class Goal(NamedTuple):
+class ChosenGoal(NamedTuple):
     """A goal: a pose (x, y, yaw) in the frame of the map [m, m, rad].
 
     `distance` is the length of the path to it [m], `information` that of a scan there [nat].
@@ -131,14 +131,14 @@ class GoalChooser:
         self._drop_time = _checks.number("drop_time", drop_time, above=0.0)
         self._near = _checks.number("near", near, above=0.0)
         self._dropped: list[tuple[float, float, float]] = []
-        self.goal: Goal | None = None
+        self.goal: ChosenGoal | None = None
         self._until = -math.inf
         self._offset = np.zeros(2)
         self.num_dropped = 0
 
     def update(
         self, now: float, grid: OccupancyGrid, offset: np.ndarray, pose: np.ndarray
-    ) -> Goal | None:
+    ) -> ChosenGoal | None:
         """Choose the goal for a map and a pose; None if no place is worth a visit.
 
         The goal stays the same until it is reached, takes too long, or is no longer worth a visit.
@@ -175,7 +175,7 @@ class GoalChooser:
             self.goal = None
             return None
         place = np.asarray(found.pose, np.float64) + np.append(offset, 0.0)
-        self.goal = Goal(place, float(found.distance), float(found.information))
+        self.goal = ChosenGoal(place, float(found.distance), float(found.information))
         self._until = now + max(self._least, self._patience * self.goal.distance / self._speed)
         return self.goal
 

@@ -15,7 +15,7 @@ from jaxplore.control.stops import GOOD, MISFIT
 from jaxplore.control.validation import StopCheck
 from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.dynamics.goal_check import Motion
+from jaxplore.dynamics.goal import Motion
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
 from jaxplore.onboard.drive_clock import DriveClock, Instant, Stamps

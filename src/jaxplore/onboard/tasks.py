@@ -11,7 +11,7 @@ from jaxplore.belief.exploration_field import leads_to_information
 from jaxplore.belief.perception import Perception
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.dynamics.goal_check import GOAL_RADIUS, STANDING, GoalCheck, Motion
+from jaxplore.dynamics.goal import GOAL_RADIUS, STANDING, Goal, Motion
 
 LOST_SECONDS = 10.0
 """Time without a way back after which a robot gives it up [s]."""
@@ -191,7 +191,7 @@ class Exploring(DriveTask):
         return ""
 
     def _update_return(self, now: float, cost: float, place: np.ndarray, motion: Motion) -> str:
-        home = GoalCheck(np.asarray(self.perception.goal), GOAL_RADIUS)
+        home = Goal(np.asarray(self.perception.goal), GOAL_RADIUS)
         if home.is_reached(place, motion):
             return f"{self._reason}; the robot is back at its start"
         assert self._way_at is not None

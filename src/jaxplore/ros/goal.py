@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.drive_clock import DriveClock, Stamps
-from jaxplore.onboard.goals import Goal, GoalChooser
+from jaxplore.onboard.goals import ChosenGoal, GoalChooser
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.inputs import Silence, subscribe_pose
 from jaxplore.ros.link import Link
@@ -73,7 +73,7 @@ class GoalNode:
     def run(self, is_stopped: threading.Event) -> str:
         """Publish goals until no place is worth a visit or the event is set; return the reason."""
         without_goal_since = math.inf
-        shown: Goal | None = None
+        shown: ChosenGoal | None = None
         clock, stamps = DriveClock(CHOICE_SECONDS), Stamps(CHOICE_SECONDS)
         placed: messages.Odometry | None = None
         placed_at = -math.inf
@@ -132,7 +132,7 @@ class GoalNode:
             self._publish_state("driving", "")
         return "stopped"
 
-    def _publish_goal(self, goal: Goal, now: float, frame: str) -> None:
+    def _publish_goal(self, goal: ChosenGoal, now: float, frame: str) -> None:
         message = self.link.ros.PoseStamped()
         messages.fill_header(message.header, now, frame)
         messages.fill_pose(message.pose, goal.pose)

@@ -10,7 +10,7 @@ from jaxplore._xla import on_device
 from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.dynamics.goal_check import GoalCheck
+from jaxplore.dynamics.goal import Goal
 from jaxplore.maps.datum import DECIMALS, Datum
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
@@ -65,15 +65,16 @@ def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid, datum: Datum
             )
 
 
-def check_unknown(max_unknown: ArrayLike | None, *, is_apart: bool) -> Scalar:
-    """Check the share of unknown cells in [0, 1] below which a map is explored, or choose it.
+def check_unknown(goal: Goal, is_apart: bool) -> Goal:
+    """Return a goal with the share of unknown cells below which a map is explored.
 
     When absent, it is 1 if the goal has a cost-to-go of its own (`is_apart`), or else
     `MAX_UNKNOWN`.
     """
-    if max_unknown is None:
-        max_unknown = 1.0 if is_apart else MAX_UNKNOWN
-    return _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
+    if goal.max_unknown is not None:
+        return goal
+    share = 1.0 if is_apart else MAX_UNKNOWN
+    return goal._replace(max_unknown=_checks.scalar("max_unknown", share))
 
 
 def check_coverage(target_coverage: ArrayLike | None) -> Scalar:
@@ -124,17 +125,16 @@ def check_perception(
     world: OccupancyGrid,
     robot: Dynamics,
     ground: Ground | None,
-    check: GoalCheck | None,
-    max_unknown: Scalar,
+    wanted: Goal | None,
     *,
     is_localising: bool,
 ) -> Perception:
     """Check that a perception was made for a scenario, or make it when absent.
 
-    Its goal and heading, ranges, resolution and ground must be those of the scenario. `robot`,
-    `max_unknown` and `is_localising` are only read to make one.
+    Its goal and heading, ranges, resolution and ground must be those of the scenario. `robot` and
+    `is_localising` are only read to make one.
     """
-    goal, heading = (None, None) if check is None else (check.position, check.heading)
+    goal, heading = (None, None) if wanted is None else (wanted.position, wanted.heading)
     if perception is None:
         return Perception(
             sensors,
@@ -142,7 +142,7 @@ def check_perception(
             robot.radius,
             goal=goal,
             goal_heading=heading,
-            max_unknown=max_unknown,
+            max_unknown=MAX_UNKNOWN if wanted is None else wanted.max_unknown,
             ground=ground,
             car=car_motion(robot),
             is_localising=is_localising,

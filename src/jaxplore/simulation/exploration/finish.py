@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from jaxplore._types import Count, Flag, Position, Scalar
+from jaxplore._types import Count, Flag, Scalar
 from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -64,7 +64,7 @@ def is_finished(
     target_coverage: Scalar,
     known: Knowledge,
     is_there: Flag | None,
-    max_unknown: Scalar,
+    max_unknown: Scalar | None,
     *,
     counts_walls: bool = False,
 ) -> Flag:
@@ -74,7 +74,7 @@ def is_finished(
     which counts instead; None if they say nothing. `target_coverage` is a share of the reachable
     cells, or of the walls if `counts_walls`, which is static. `is_there` says whether the goal is
     reached; None without a goal. `max_unknown` is the share of unknown cells below which the map is
-    explored; it counts only with a goal.
+    explored; None without a goal.
     """
     is_done = known.idle >= DONE_AFTER
     if is_told is not None:
@@ -84,7 +84,7 @@ def is_finished(
         share = known.walls if counts_walls else progress.coverage
         ends_by_share = (target == _COVERAGE) | (target == _WALLS)
         is_covered = ends_by_share & (share >= target_coverage) | (target == _INFORMATION) & is_done
-    if is_there is None:
+    if is_there is None or max_unknown is None:
         return is_covered
     # What a part is about is an end of its own, however much of the map is known.
     if is_told is None:
@@ -93,13 +93,13 @@ def is_finished(
 
 
 def default_objective(
-    goal: Position | None, target: str, ends: Sequence[str], endless: Sequence[str]
+    target: str, ends: Sequence[str], endless: Sequence[str], *, has_goal: bool
 ) -> str:
     """Return the default objective: time to the end, plus contacts.
 
     `ends` are metrics of truths that end the task, the first of which takes the place of the time.
     For a run without an end it is the first of the metrics `endless`, if there are any.
     """
-    is_endless = goal is None and target == NEVER
+    is_endless = not has_goal and target == NEVER
     found = next(iter((*ends, *(endless if is_endless else ()))), "finished_at")
     return f"{found} + 100*collisions"

@@ -64,7 +64,7 @@ def make_recording(
         initial_coverage=float(before.coverage),
         initial_entropy=float(before.entropy),
         initial_unknown=float(before.unknown),
-        goal=None if one.goal is None else np.asarray(one.goal),
+        goal=None if one.goal is None else np.asarray(one.goal.position),
         elevation=None if ground is None else np.asarray(ground.elevation),
         traversable=None if arrays.traversable is None else np.asarray(arrays.traversable),
         parts=parts,

@@ -21,7 +21,6 @@ from jaxplore._types import (
     GridMask,
     Key,
     Pose,
-    Position,
     Scalar,
     StateVector,
     Vector,
@@ -34,13 +33,7 @@ from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.dynamics.goal_check import (
-    GOAL_RADIUS,
-    GOAL_SPEED,
-    GOAL_TOLERANCE,
-    GoalCheck,
-    Motion,
-)
+from jaxplore.dynamics.goal import Goal, Motion
 from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.ground import Ground
@@ -106,7 +99,7 @@ class ExplorationScenario(Scenario):
     - With the target `walls`: when of the cells around its known free space a share
       `target_coverage` are known walls. Where no place is worth a visit any more it goes on for
       `give_up_after`, because little information may be a piece of wall.
-    - With a goal: when the robot has reached it (`GoalCheck`), with less than `max_unknown` of the
+    - With a goal: when the robot has reached it (`Goal`), with less than its `max_unknown` of the
       map unknown, at the target coverage, or with nothing left to learn. With a goal apart (see
       `Perception`) the robot drives to the goal first and explores on the way.
     - With a truth that ends the task, such as `jaxplore.parts.Targets`: when it says so.
@@ -150,13 +143,7 @@ class ExplorationScenario(Scenario):
             back.
         prior: map that the robot knows in advance, with the cells of the world; nothing when
             absent.
-        goal: goal position (x, y) [m]; none when absent.
-        goal_radius: distance within which the goal is reached by a robot at rest [m].
-        goal_heading: heading at the goal [rad]; any when absent.
-        goal_tolerance: greatest error of the heading at the goal [rad].
-        goal_speed: speed up to which the robot is at rest at the goal [m/s].
-        max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map is explored; when
-                absent 0.05, or 1 for a goal apart, which then needs no explored map.
+        goal: goal, or its position (x, y) [m]; none when absent.
         altitude: z of the start, for robots that have one [m].
         hover_time: time that is simulated after the end [s].
         faults: injected faults; none when absent.
@@ -196,12 +183,7 @@ class ExplorationScenario(Scenario):
     target_coverage: Scalar
     ends_by: Count
     give_up_after: Scalar
-    goal: Position | None
-    goal_radius: Scalar
-    goal_heading: Scalar | None
-    goal_tolerance: Scalar
-    goal_speed: Scalar
-    max_unknown: Scalar
+    goal: Goal | None
     hover_steps: Count
     faults: Faults | None
     moving_obstacles: MovingObstacles | None
@@ -227,12 +209,7 @@ class ExplorationScenario(Scenario):
         target_coverage: ArrayLike | None = None,
         give_up_after: ArrayLike | None = None,
         prior: OccupancyGrid | None = None,
-        goal: Vector | None = None,
-        goal_radius: ArrayLike = GOAL_RADIUS,
-        goal_heading: ArrayLike | None = None,
-        goal_tolerance: ArrayLike = GOAL_TOLERANCE,
-        goal_speed: ArrayLike = GOAL_SPEED,
-        max_unknown: ArrayLike | None = None,
+        goal: Vector | Goal | None = None,
         altitude: float = 0.0,
         hover_time: float = 0.0,
         faults: Faults | None = None,
@@ -255,21 +232,15 @@ class ExplorationScenario(Scenario):
         self.moving_obstacles = None if is_still else moving_obstacles
         told = TOLD_NOISE if tracking_noise is None else tracking_noise
         self.tracking_noise = _checks.vector("tracking_noise", told, 2, at_least=0.0)
-        self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         is_apart = perception is not None and perception.is_goal_apart
-        ends = (goal_radius, goal_heading, goal_tolerance, goal_speed)
-        check = GoalCheck.of((0.0, 0.0) if goal is None else goal, *ends)
-        _, self.goal_radius, heading, self.goal_tolerance, self.goal_speed = check
-        self.goal_heading = None if goal is None else heading
-        self.max_unknown = checks.check_unknown(max_unknown, is_apart=is_apart)
+        self.goal = None if goal is None else checks.check_unknown(Goal.check(goal), is_apart)
         perception = checks.check_perception(
             perception,
             self.sensors,
             world,
             robot,
             ground,
-            self.goal_check,
-            self.max_unknown,
+            self.goal,
             is_localising=localisation is not None,
         )
         is_told = tracking_noise is not None or ground is not None
@@ -288,7 +259,8 @@ class ExplorationScenario(Scenario):
         reachable = on_device(drivable_cells(passable, pose, robot, perception, datum))
         check_carrying(self.faults, world, reachable, datum)
         if self.goal is not None:
-            checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
+            at, radius = self.goal.position, float(self.goal.radius)
+            checks.check_goal(at, world, robot, reachable, radius, datum)
         given = as_truths(truths, perception.parts)
         site = Site(world, robot, perception, pose, given, np.asarray(reachable), datum)
         self.truths = tuple(each.bind(site) for each in given)
@@ -313,14 +285,6 @@ class ExplorationScenario(Scenario):
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
         self.perception = perception
-
-    @property
-    def goal_check(self) -> GoalCheck | None:
-        """Check whether the goal is reached; None without a goal."""
-        if self.goal is None:
-            return None
-        ends = (self.goal_heading, self.goal_tolerance, self.goal_speed)
-        return GoalCheck(self.goal, self.goal_radius, *ends)
 
     @property
     def world(self) -> OccupancyGrid:
@@ -392,7 +356,7 @@ class ExplorationScenario(Scenario):
             [str(each.objective) for each in known if each.ends_task is ends]
             for ends in (True, False)
         )
-        return default_objective(self.goal, self.target, ends, endless)
+        return default_objective(self.target, ends, endless, has_goal=self.goal is not None)
 
     @property
     def metric_groups(self) -> tuple[str, ...]:
@@ -680,7 +644,8 @@ class ExplorationScenario(Scenario):
             state: the task's state, with the map that the robot knows in `belief.grid`.
         """
         is_there = self.is_at_goal(state)
-        end = (self.ends_by, self.target_coverage, state.own.knowledge, is_there, self.max_unknown)
+        most = None if self.goal is None else self.goal.max_unknown
+        end = (self.ends_by, self.target_coverage, state.own.knowledge, is_there, most)
         told = self.is_finished_by_parts(state.truths)
         return is_finished(state.progress, told, *end, counts_walls=self.counts_walls)
 
@@ -696,13 +661,12 @@ class ExplorationScenario(Scenario):
         return functools.reduce(jnp.logical_and, said) if said else None
 
     def is_at_goal(self, state: ExplorationState) -> Flag | None:
-        """Check whether the robot is at its goal (`GoalCheck`); None without a goal."""
-        check = self.goal_check
-        if check is None:
+        """Check whether the robot is at its goal (`Goal`); None without a goal."""
+        if self.goal is None:
             return None
         # A robot that finds its pose is where it takes itself to be.
         pose = self.robot.pose(self.measure_state(state))
-        is_reached: Flag = check.is_reached(pose, state.motion)
+        is_reached: Flag = self.goal.is_reached(pose, state.motion)
         return is_reached
 
     def is_given_up(self, state: Any) -> Flag:

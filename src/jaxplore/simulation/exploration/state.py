@@ -13,7 +13,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
-from jaxplore.dynamics.goal_check import Motion
+from jaxplore.dynamics.goal import Motion
 from jaxplore.report.exploration.data import LocalisationData, MapProgress
 from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import FITTING, Knowledge, Measurement, RobotState, Sight

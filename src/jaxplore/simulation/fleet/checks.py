@@ -47,7 +47,8 @@ def check_members(
         if each is not first and not is_same:
             raise ValueError(f"robots[{index}] is in another world; accepted: that of robots[0]")
         ends = [
-            None if one.goal is None else np.asarray(one.goal).tolist() for one in (each, first)
+            None if one.goal is None else np.asarray(one.goal.position).tolist()
+            for one in (each, first)
         ]
         if ends[0] != ends[1]:
             raise ValueError(

@@ -34,7 +34,7 @@ from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, State
-from jaxplore.dynamics.goal_check import GOAL_RADIUS, GOAL_SPEED, GoalCheck, Motion
+from jaxplore.dynamics.goal import GOAL_RADIUS, GOAL_SPEED, Goal, Motion
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.geometry.path import Path
 from jaxplore.maps.datum import ORIGIN, Datum
@@ -60,7 +60,7 @@ class PathScenario(Scenario):
     """Path following of a robot among obstacles.
 
     It is finished when the robot itself, not the path parameter phi of its plan, is at rest at the
-    end of an open path (`GoalCheck`), or has completed the laps of a closed one. A cusp of an open
+    end of an open path (`Goal`), or has completed the laps of a closed one. A cusp of an open
     path is a stop as well: the path goes on for the robot when it is at rest there.
 
     Contacts with obstacles and corridor violations are counted and do not stop the robot.
@@ -272,7 +272,7 @@ class PathScenario(Scenario):
             phi = jnp.minimum(model.component(robot, "phi"), stretch[1])
             robot = model.with_component(robot, "phi", phi)
             stop = path.at(stretch[1]).position
-            check = GoalCheck(stop, self.goal_radius, speed=self.goal_speed)
+            check = Goal(stop, self.goal_radius, speed=self.goal_speed)
             motion = Motion.between(model, state.robot, robot, period)
             is_stop = check.is_reached(model.pose(robot), motion)
         here = State(robot, model, control)

@@ -32,13 +32,7 @@ from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.belief.volume_goal import EASE, INSIDE, resting_place
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
-from jaxplore.dynamics.goal_check import (
-    GOAL_RADIUS,
-    GOAL_SPEED,
-    GOAL_TOLERANCE,
-    GoalCheck,
-    Motion,
-)
+from jaxplore.dynamics.goal import Goal, Motion
 from jaxplore.dynamics.quadrotor import Quadrotor, position_upwards
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.volume_field import VolumeField
@@ -101,7 +95,7 @@ class VolumeScenario(Scenario):
     `give_up_after`: what is left cannot be seen from where the robot fits. With targets it is
     finished when a sensor has seen all of them, and not given up. With a goal the robot flies
     there, through what it does not know as well, and the run is finished when it has come to rest
-    there (`GoalCheck`); it is not given up.
+    there (`Goal`); it is not given up.
 
     Args:
         world: the true volume, hidden from the robot.
@@ -117,11 +111,7 @@ class VolumeScenario(Scenario):
             [s]; when absent a minute and the time of a flight along the diagonal of the volume and
             back at 1 m/s.
         targets: (M, 3) positions (x, y, z) of targets to find, with z up [m]; none when absent.
-        goal: goal position (x, y, z) with z up [m]; none when absent.
-        goal_radius: distance within which the goal is reached by a robot at rest [m].
-        goal_heading: heading at the goal [rad]; any when absent.
-        goal_tolerance: greatest error of the heading at the goal [rad].
-        goal_speed: speed up to which the robot is at rest at the goal [m/s].
+        goal: goal, or its position (x, y, z) with z up [m]; none when absent.
         moving_obstacles: true moving obstacles, upright cylinders from the lower face of the volume
             to 1.8 m above it; none when absent. The robot is told of those in sight, and the map
             keeps nothing of them. Their start is drawn from the run's key.
@@ -157,7 +147,7 @@ class VolumeScenario(Scenario):
     observable: Bool[Array, "D H W"]
     num_observable: Scalar
     targets: Float[Array, "M 3"]
-    goal_check: GoalCheck | None
+    goal: Goal | None
     moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
     faults: Faults | None
@@ -178,11 +168,7 @@ class VolumeScenario(Scenario):
         target_coverage: ArrayLike = 0.95,
         give_up_after: ArrayLike | None = None,
         targets: Rows | None = None,
-        goal: Vector | None = None,
-        goal_radius: ArrayLike = GOAL_RADIUS,
-        goal_heading: ArrayLike | None = None,
-        goal_tolerance: ArrayLike = GOAL_TOLERANCE,
-        goal_speed: ArrayLike = GOAL_SPEED,
+        goal: Vector | Goal | None = None,
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector = TOLD_NOISE,
         faults: Faults | None = None,
@@ -224,13 +210,11 @@ class VolumeScenario(Scenario):
         self.observable = on_device(counted)
         self.num_observable = on_device(np.asarray(np.count_nonzero(counted), np.float32))
         self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
-        ends = goal_radius, goal_heading, goal_tolerance, goal_speed
-        check = GoalCheck.of((0.0, 0.0, 0.0) if goal is None else goal, *ends, dimensions=3)
-        self.goal_check = None if goal is None else check
-        if goal is not None:
+        self.goal = None if goal is None else Goal.check(goal, 3)
+        if self.goal is not None:
             has_targets = bool(self.targets.size)
-            _check_goal(check, world, places, is_barred, radius, datum, has_targets=has_targets)
-        perception = _check_perception(perception, given, world, robot, self.goal_check)
+            _check_goal(self.goal, world, places, is_barred, radius, datum, has_targets=has_targets)
+        perception = _check_perception(perception, given, world, robot, self.goal)
         perception.window_shape(world.shape, side)
         self.perception = perception
         rate = _checks.number("control_rate", control_rate, above=0.0)
@@ -265,7 +249,7 @@ class VolumeScenario(Scenario):
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
         is_seen = jnp.zeros(self.targets.shape[0], bool)
         nothing, moving = jnp.zeros(()), self.moving_obstacles
-        motion = None if self.goal_check is None else Motion(nothing, nothing)
+        motion = None if self.goal is None else Motion(nothing, nothing)
         if moving is not None:
             obstacles = Obstacles.unseen(moving.radius)
             belief = dataclasses.replace(belief, obstacles=obstacles)
@@ -410,22 +394,22 @@ class VolumeScenario(Scenario):
             is_untraversable=self._is_barred(after),
             stop=moment.stop,
         )
-        if self.goal_check is not None:
+        if self.goal is not None:
             motion = Motion.between(self.robot, state.robot, after, self.control_period)
             state = state._replace(motion=motion)
         return state._replace(robot=after), record
 
     def is_unfinished(self, state: VolumeState) -> Flag:
         """Check whether the exploration is neither finished nor given up."""
-        if self.goal_check is not None:
-            return ~self._is_there(self.goal_check, state)
+        if self.goal is not None:
+            return ~self._is_there(self.goal, state)
         if state.is_seen.size:
             return ~state.is_seen.all()
         return (self.coverage(state) < self.target_coverage) & ~self.is_given_up(state)
 
     def is_given_up(self, state: VolumeState) -> Flag:
         """Check whether the coverage has not risen for `give_up_after`, below its target."""
-        if state.is_seen.size or self.goal_check is not None:
+        if state.is_seen.size or self.goal is not None:
             return jnp.array(False)
         is_below = self.coverage(state) < self.target_coverage
         return is_below & (state.gain.since >= self.give_up_after)
@@ -433,10 +417,10 @@ class VolumeScenario(Scenario):
     def progress(self, state: VolumeState) -> tuple[float, str]:
         """Return the share of the target coverage, and the coverage in words."""
         coverage = float(self.coverage(state))
-        if self.goal_check is not None:
+        if self.goal is not None:
             place = np.asarray(position_upwards(state.robot))
-            away = float(np.linalg.norm(place - np.asarray(self.goal_check.position)))
-            first = np.asarray(position_upwards(self.start) - self.goal_check.position)
+            away = float(np.linalg.norm(place - np.asarray(self.goal.position)))
+            first = np.asarray(position_upwards(self.start) - self.goal.position)
             share = 1.0 - away / max(1e-6, float(np.linalg.norm(first)))
             return min(1.0, max(0.0, share)), f"goal {away:5.1f} m away"
         return min(1.0, coverage / float(self.target_coverage)), f"coverage {coverage:6.1%}"
@@ -501,8 +485,8 @@ class VolumeScenario(Scenario):
             target_coverage=float(self.target_coverage),
             robot_radius=float(self.robot.radius),
             targets=np.asarray(self.targets),
-            goal=None if self.goal_check is None else np.asarray(self.goal_check.position),
-            is_at_goal=self.goal_check is not None and not bool(self.is_unfinished(last)),
+            goal=None if self.goal is None else np.asarray(self.goal.position),
+            is_at_goal=self.goal is not None and not bool(self.is_unfinished(last)),
             boxes=np.zeros((0, 6)) if self.keep_out is None else np.asarray(self.keep_out.boxes),
             given_up_step=run.num_steps if bool(self.is_given_up(run.state.task)) else None,
         )
@@ -521,7 +505,7 @@ class VolumeScenario(Scenario):
         is_barred: Flag = boxes.distance(position_upwards(state)) < self.robot.radius
         return is_barred
 
-    def _is_there(self, check: GoalCheck, state: VolumeState) -> Flag:
+    def _is_there(self, check: Goal, state: VolumeState) -> Flag:
         """Check whether the robot has come to rest at its goal."""
         assert state.motion is not None
         heading = self.robot.heading(state.robot)
@@ -576,7 +560,7 @@ def _show(place: np.ndarray, datum: Datum) -> str:
 
 
 def _check_goal(
-    check: GoalCheck,
+    check: Goal,
     world: VoxelGrid,
     places: np.ndarray,
     is_barred: np.ndarray,
@@ -590,6 +574,10 @@ def _check_goal(
     `places` (D, H, W) are the voxels at whose centres it can get, and `radius` is its own [m].
     """
     at = _show(np.asarray(check.position), datum)
+    if check.max_unknown is not None:
+        raise ValueError(
+            f"max_unknown of goal is {float(check.max_unknown):g}; accepted in a volume: none"
+        )
     if has_targets:
         raise ValueError(f"goal is {at} beside targets; accepted: one of them")
     voxel = np.asarray(jnp.floor(world.to_grid(check.position))).astype(int)
@@ -626,7 +614,7 @@ def _check_perception(
     sensors: tuple[VolumeSensor, ...],
     world: VoxelGrid,
     robot: Quadrotor,
-    check: GoalCheck | None,
+    check: Goal | None,
 ) -> VolumePerception:
     """Check that a perception has the goal of a scenario, or make one when absent."""
     goal, heading = (None, None) if check is None else (check.position, check.heading)

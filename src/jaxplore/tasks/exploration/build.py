@@ -11,6 +11,7 @@ from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller
 from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.goal import Goal
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
 from jaxplore.parts.registry import Equipment, build_parts
@@ -80,7 +81,10 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
     if not world.is_placed:
         equipment = Equipment(tuple(part.unplaced() for part in equipment.parts), ())
     perception = _perception(settings, robot, world, sensors, equipment.parts)
-    ground = world.ground
+    ground, goal = world.ground, None
+    if world.goal is not None:
+        numbers = {**arguments(settings, Goal), "max_unknown": _choose_max_unknown(settings)}
+        goal = Goal(world.goal[:2], **numbers)
     scenario = ExplorationScenario(
         world.grid if ground is None else TerrainMap(world.grid, ground),
         robot,
@@ -88,7 +92,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         world.start,
         perception=perception,
         prior=world.prior,
-        goal=None if world.goal is None else world.goal[:2],
+        goal=goal,
         altitude=settings.altitude,
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults, world.datum),
@@ -97,10 +101,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         ),
         truths=equipment.truths,
         datum=world.datum,
-        **{
-            **arguments(settings, ExplorationScenario),
-            "max_unknown": _choose_max_unknown(settings),
-        },
+        **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     ).with_variation(build_variation(settings.variation))
     # A quadrotor's camera does not show where people come from: with the limit of speeds it lost

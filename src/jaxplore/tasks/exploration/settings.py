@@ -9,6 +9,7 @@ from pydantic import Field
 
 from jaxplore._spelling import match_spelling
 from jaxplore.belief.perception import Perception
+from jaxplore.dynamics.goal import Goal
 from jaxplore.maps.files.ros import MapRules
 from jaxplore.maps.generators.office import office
 from jaxplore.maps.ground import Ground
@@ -197,11 +198,11 @@ class Settings(RunSettings):
     architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
     goal: tuple[Real, Real] | tuple[Real, Real, Real] | None = None
     returns: bool = False
-    goal_radius: Length = setting(ExplorationScenario, "goal_radius")
-    goal_heading: Real | None = setting(ExplorationScenario, "goal_heading")
-    goal_tolerance: Positive = setting(ExplorationScenario, "goal_tolerance")
-    goal_speed: Positive = setting(ExplorationScenario, "goal_speed")
-    max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
+    goal_radius: Length = setting(Goal, "radius")
+    goal_heading: Real | None = setting(Goal, "heading")
+    goal_tolerance: Positive = setting(Goal, "tolerance")
+    goal_speed: Positive = setting(Goal, "speed")
+    max_unknown: Fraction | None = setting(Goal, "max_unknown")
     hover_time: Wait = setting(ExplorationScenario, "hover_time")
     is_map_known: Annotated[bool, NOT_IN_WORLDS] = False
     altitude: Real = setting(Flight, "altitude")

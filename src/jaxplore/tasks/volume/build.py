@@ -14,6 +14,7 @@ from jaxplore.belief.volume import VolumePerception
 from jaxplore.control.base import Controller
 from jaxplore.control.guard import WALL_MARGIN, MotionGuard
 from jaxplore.control.validation import StopCheck
+from jaxplore.dynamics.goal import Goal
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, read_volume
@@ -79,7 +80,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         sensors,
         _start(settings, world, robot, datum),
         perception=perception,
-        goal=goal,
+        goal=None if goal is None else Goal(goal, **arguments(settings, Goal)),
         moving_obstacles=_people(settings, world),
         targets=[datum.to_local(each) for each in settings.search] or None,
         faults=build_faults(settings.faults, datum),
@@ -235,7 +236,7 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
         **arguments(settings.robot, volume_explorer),
         "control_period": 1.0 / settings.rates.control,
         "has_moving_obstacles": scenario.moving_obstacles is not None,
-        "has_goal": scenario.goal_check is not None,
+        "has_goal": scenario.goal is not None,
     }
     name = settings.architecture
     if name == "explorer":

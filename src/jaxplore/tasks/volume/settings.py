@@ -7,6 +7,7 @@ from pydantic import Field
 
 from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES, MOST_PEOPLE
 from jaxplore.belief.volume import VolumePerception
+from jaxplore.dynamics.goal import Goal
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.files.volume_file import SUFFIXES, read_volume
 from jaxplore.maps.generators.people import walking_people
@@ -272,10 +273,10 @@ class VolumeSettings(RunSettings):
     resolution: Spacing = setting(generate_volume, "resolution")
     search: Annotated[tuple[tuple[Real, Real, Real], ...], Field(max_length=MOST_NAMES)] = ()
     goal: tuple[Real, Real, Real] | None = None
-    goal_radius: Length = setting(VolumeScenario, "goal_radius")
-    goal_heading: Real | None = setting(VolumeScenario, "goal_heading")
-    goal_tolerance: Positive = setting(VolumeScenario, "goal_tolerance")
-    goal_speed: Positive = setting(VolumeScenario, "goal_speed")
+    goal_radius: Length = setting(Goal, "radius")
+    goal_heading: Real | None = setting(Goal, "heading")
+    goal_tolerance: Positive = setting(Goal, "tolerance")
+    goal_speed: Positive = setting(Goal, "speed")
     people: VolumePeopleSettings = VolumePeopleSettings()
     tracking_noise: tuple[NonNegative, NonNegative] = setting(VolumeScenario, "tracking_noise")
     guard: bool = False

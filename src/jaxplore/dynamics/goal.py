@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplore import _checks
+from jaxplore._describe import describe
 from jaxplore._types import ArrayLike, Scalar, Vector
 from jaxplore.dynamics.base import Dynamics
 
@@ -53,8 +54,8 @@ STANDING = Motion(0.0, 0.0)
 """Motion of a robot that stands."""
 
 
-class GoalCheck(NamedTuple):
-    """Checks whether a robot has reached a goal.
+class Goal(NamedTuple):
+    """A goal, and when a robot has reached it.
 
     It has if its position is within `radius`, its heading, where the goal has one, within
     `tolerance`, and if it is at rest: no faster than `speed`, and turning by no more than
@@ -62,18 +63,22 @@ class GoalCheck(NamedTuple):
 
     Args:
         position: position (x, y) of the goal, in a volume (x, y, z) with z up [m].
-        radius: distance within which it is reached [m].
-        heading: heading at the goal [rad]; any when None.
-        tolerance: greatest error of the heading [rad].
-        speed: speed up to which the robot is at rest [m/s].
+        radius: distance within which the goal is reached by a robot at rest [m].
+        heading: heading at the goal [rad]; any when absent.
+        tolerance: greatest error of the heading at the goal [rad].
+        speed: speed up to which the robot is at rest at the goal [m/s].
+        max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map is explored, so
+            that the goal ends an exploration; when absent 0.05, or 1 for a goal apart, which then
+            needs no explored map. Volumes have none.
     """
 
     # Numbers of a robot, or arrays of a simulation.
     position: Any
-    radius: Any
+    radius: Any = GOAL_RADIUS
     heading: Any = None
     tolerance: Any = GOAL_TOLERANCE
     speed: Any = GOAL_SPEED
+    max_unknown: Any = None
 
     @classmethod
     def of(
@@ -83,16 +88,31 @@ class GoalCheck(NamedTuple):
         heading: ArrayLike | None = None,
         tolerance: ArrayLike = GOAL_TOLERANCE,
         speed: ArrayLike = GOAL_SPEED,
+        max_unknown: ArrayLike | None = None,
         dimensions: int = 2,
-    ) -> "GoalCheck":
-        """Make a check of finite numbers; radius, tolerance and speed are positive."""
+    ) -> "Goal":
+        """Make a goal of finite numbers; radius, tolerance and speed are positive."""
         return cls(
             _checks.vector("goal", position, dimensions),
             _checks.scalar("goal_radius", radius, above=0.0),
             None if heading is None else _checks.scalar("goal_heading", heading),
             _checks.scalar("goal_tolerance", tolerance, above=0.0),
             _checks.scalar("goal_speed", speed, above=0.0),
+            None
+            if max_unknown is None
+            else _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0),
         )
+
+    @classmethod
+    def check(cls, goal: "Vector | Goal", dimensions: int = 2) -> "Goal":
+        """Return a goal of finite numbers, from a position with the defaults or from a goal."""
+        given = goal._asdict() if isinstance(goal, cls) else {"position": goal}
+        return cls.of(**given, dimensions=dimensions)
+
+    def __repr__(self) -> str:
+        given = {name: each for name, each in self._asdict().items() if each is not None}
+        texts = [f"{name}={describe(each)}" for name, each in given.items()]
+        return f"Goal({', '.join(texts)})"
 
     def is_at(self, position: Any) -> Any:
         """Check whether a position, with the goal's number of components, is within the radius."""

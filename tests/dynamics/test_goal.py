@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxplore as jx
-from jaxplore.dynamics.goal_check import STANDING, GoalCheck, Motion
+from jaxplore.dynamics.goal import STANDING, Goal, Motion
 
 CAR = {"max_speed": 3.0, "max_acceleration": 1.5}
 ROBOTS = {
@@ -64,7 +64,7 @@ def test_a_goal_is_reached_at_rest_within_its_radius_and_heading(x, y, yaw, v, w
     goal = np.array([5.0, -3.0])
     for array in (np.asarray, lambda each: jnp.asarray(each, jnp.float32)):
         given, motion = array(pose), Motion(array(v), array(w))
-        free, facing = GoalCheck.of(goal), GoalCheck.of(goal, heading=heading)
+        free, facing = Goal.of(goal), Goal.of(goal, heading=heading)
         assert bool(free.is_reached(given, motion)) == is_there
         assert bool(facing.is_reached(given, motion)) == (is_there and margins[3] < 0.0)
 
@@ -86,15 +86,15 @@ def test_motion_is_that_of_the_step_also_upwards_and_across_a_full_turn() -> Non
 @pytest.mark.parametrize("name", ["radius", "tolerance", "speed"])
 def test_numbers_that_are_no_bounds_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"goal_{name} is 0.0; accepted"):
-        GoalCheck.of((0.0, 0.0), **{name: 0.0})
+        Goal.of((0.0, 0.0), **{name: 0.0})
 
 
 def test_a_goal_in_a_volume_has_a_height_and_a_heading_behind_it() -> None:
-    check = GoalCheck.of([5.0, -3.0, 1.5], heading=0.5, dimensions=3)
+    check = Goal.of([5.0, -3.0, 1.5], heading=0.5, dimensions=3)
     there = np.array([5.0, -3.0, 1.6, 0.55])
     assert check.is_reached(there, STANDING)
     assert not check.is_reached(there + np.array([0.0, 0.0, 0.1, 0.0]), STANDING)
     assert not check.is_reached(there + np.array([0.0, 0.0, 0.0, 0.2]), STANDING)
     assert not check.is_reached(there, Motion(0.06, 0.0))
     with pytest.raises(ValueError, match="accepted: 3 finite numbers"):
-        GoalCheck.of([5.0, -3.0], dimensions=3)
+        Goal.of([5.0, -3.0], dimensions=3)
