@@ -1,4 +1,4 @@
-"""The last metre to a goal in a volume: a position controller takes over."""
+"""The last metre to a goal or a dock in a volume: a position controller takes over."""
 
 from typing import Any, ClassVar
 
@@ -24,9 +24,10 @@ POINTS = 9
 
 
 class GoalApproach(ModelBasedController):
-    """Flies to a goal with another controller, and over the last metre with a position controller.
+    """Flies with another controller, and over the last metre to a goal with a position controller.
 
-    Within `near` of the goal, where the straight line to it keeps the robot's radius from all that
+    The goal is that of the belief, or the place of an errand while that is due, such as a dock.
+    Within `near` of it, where the straight line to it keeps the robot's radius from all that
     is not known to be free, and where nothing that moves is within 0.8 m, the command is that of
     `QuadrotorFollower`. It comes to rest at the goal, and turns to its heading if it has one.
     Sampled commands vary by more than the speed at which a robot is at rest.
@@ -63,22 +64,31 @@ class GoalApproach(ModelBasedController):
     ) -> tuple[ControlVector, Any, Info]:
         """Compute one control; see `Controller.step`."""
         control, after, info = self.flying.step(state, observation, belief, key=key)
-        goal: GoalKnowledge = part(belief, "goal")
-        follower = self.follower
-        if goal.heading is not None:
-            follower = eqx.tree_at(
-                lambda each: each.heading, follower, goal.heading, is_leaf=lambda each: each is None
-            )
+        follower, errand = self.follower, belief.errand
+        if belief.goal is None and errand is not None:
+            place, is_due = errand.place, errand.is_due
+        else:
+            # The goal is the place of an errand while that is due.
+            goal: GoalKnowledge = part(belief, "goal")
+            place, is_due = goal.position, jnp.array(True)
+            if goal.heading is not None:
+                follower = eqx.tree_at(
+                    lambda each: each.heading,
+                    follower,
+                    goal.heading,
+                    is_leaf=lambda each: each is None,
+                )
         # A mirror in z: the model has z down.
-        target = position_upwards(goal.position)
+        target = position_upwards(place)
         held = follower.control(self.dynamics, observation, target, jnp.zeros(3))
         held = jnp.clip(held, self.dynamics.control_min, self.dynamics.control_max)
-        return jnp.where(self._takes_over(observation, belief, goal), held, control), after, info
+        takes_over = is_due & self._takes_over(observation, belief, place)
+        return jnp.where(takes_over, held, control), after, info
 
-    def _takes_over(self, observation: StateVector, belief: Any, goal: GoalKnowledge) -> Flag:
-        """Check whether the goal is near, and the straight line to it is free."""
+    def _takes_over(self, observation: StateVector, belief: Any, place: Float[Array, "3"]) -> Flag:
+        """Check whether the place is near, and the straight line to it is free."""
         here = position_upwards(observation)
-        gap = goal.position - here
+        gap = place - here
         shares = jnp.linspace(0.0, 1.0, POINTS)[:, None]
         line: Float[Array, "9 3"] = here + shares * gap
         room = jax.vmap(belief.clearance)(line).min()

@@ -2,17 +2,14 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from jaxplore.maps.datum import move_points
-from jaxplore.report.part import PartReport
-from jaxplore.report.recording import Frame, RunData
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from jaxplore.report.of_parts import PartsData
+from jaxplore.report.recording import Frame
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,7 +26,7 @@ class MissionFrame(Frame):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
-class MissionData(RunData):
+class MissionData(PartsData):
     """A run on a map, what was looked for beside the map, and what was found of it.
 
     Args:
@@ -47,7 +44,6 @@ class MissionData(RunData):
         elevation: (H, W) elevation of the ground [m]; None if it is level.
         traversable: (H, W) cells that may be entered; None if all that are free may.
         targets: (M, 2) positions of the targets [m].
-        parts: what the run shows of each part of the robots, by its name.
     """
 
     world: np.ndarray
@@ -63,26 +59,13 @@ class MissionData(RunData):
     elevation: np.ndarray | None = None
     traversable: np.ndarray | None = None
     targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
-    parts: Mapping[str, PartReport] = dataclasses.field(default_factory=dict)
 
     @property
     @abc.abstractmethod
     def last_positions(self) -> np.ndarray:
         """Positions (N, 2) of all robots at the end [m]."""
 
-    def part_figures(self) -> dict[str, Callable[[], "Figure"]]:
-        """Return functions that draw the figures of parts, by file name without suffix."""
-        return {
-            name: draw for each in self.parts.values() for name, draw in each.figures(self).items()
-        }
-
-    def part_arrays(self, records: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Return what `arrays.npz` has of parts: the fields of their records, and `arrays`."""
-        fields = [each._asdict() for each in records.values()]
-        fields += [each.arrays() for each in self.parts.values()]
-        return {name: np.asarray(rows) for each in fields for name, rows in each.items()}
-
     def move_mission(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
         moved = {name: move_points(getattr(self, name), offset) for name in ("origin", "targets")}
-        return {"parts": {name: each.move(offset) for name, each in self.parts.items()}, **moved}
+        return {"parts": self.move_parts(offset), **moved}
