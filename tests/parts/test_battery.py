@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxplore as jx
+from jaxplore.maps.datum import ORIGIN
 from jaxplore.parts.battery.robot import JOULES, Battery, Charge
 from jaxplore.parts.battery.truth import DOCK_RADIUS, BatteryState, TrueBattery, drive_length
-from jaxplore.simulation.exploration.part_truth import Drive
+from jaxplore.simulation.exploration.part_truth import Drive, Site
 from jaxplore.tasks.registry import build, make_settings
 
 SIDE = 0.1
@@ -129,7 +130,9 @@ def test_the_way_over_the_reachable_cells_is_the_shortest(seed) -> None:
                 if length < away.get(beside, math.inf):
                     away[beside] = length
                     heapq.heappush(queue, (length, beside))
-    found = drive_length(open_, grid.frame, places[0], places[1])
+    nowhere = np.zeros((0, 2), np.float32)
+    site = Site(grid, ROBOT, None, np.append(places[0], 0.0), nowhere, open_, ORIGIN)
+    found = drive_length(site, places[0], places[1])
     assert found == pytest.approx(away.get(tuple(last), math.inf))
 
 

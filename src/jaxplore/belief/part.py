@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _kinds
 from jaxplore._types import Flag, GridMask, GridValues, Pose, Position, Scalar
@@ -44,11 +44,11 @@ class Errand(NamedTuple):
     """A place to which a part sends the robot.
 
     Args:
-        place: position (x, y) [m].
+        place: position (x, y), in a volume (x, y, z) with z up [m].
         is_due: whether the robot must go there now, before all else, and come to rest.
     """
 
-    place: Position
+    place: Float[Array, " D"]
     is_due: Flag
 
 
@@ -62,9 +62,10 @@ class Part(eqx.Module):
 
     name: ClassVar[str]
     """Name of the part, under which its state is kept; no two parts of a robot share one."""
-    dimensions: ClassVar[int] = 2
-    """2 for a part of the plane, 3 for one of a volume. In a volume `init` and `closed_cells` are
-    called, with a `VoxelGrid` and masks (D, H, W)."""
+    dimensions: ClassVar[tuple[int, ...]] = (2,)
+    """2 for a part of the plane, 3 for one of a volume. In a volume `init` and `closed_cells` have
+    a `VoxelGrid` and masks (D, H, W), places have z, and of the other methods `look`, `errand` and
+    `plan_errand` are called."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of the parts that must come before it."""
     is_revisiting: ClassVar[bool] = True
@@ -256,9 +257,9 @@ def as_parts(
         _kinds.instance("parts", parts, list, tuple)
     names: list[str] = []
     for index, each in enumerate(parts):
-        if each.dimensions != dimensions:
+        if dimensions not in each.dimensions:
             kinds = {2: "the plane", 3: "a volume"}
-            given = f"{type(each).__name__}, of {kinds[each.dimensions]}"
+            given = f"{type(each).__name__}, of {kinds[each.dimensions[0]]}"
             raise ValueError(f"parts[{index}] is a {given}; accepted: parts of {kinds[dimensions]}")
         if each.name in names:
             raise ValueError(

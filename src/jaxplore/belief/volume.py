@@ -22,7 +22,7 @@ from jaxplore.belief.coarse_voxels import (
     update_coarse,
 )
 from jaxplore.belief.exploration_field import information_sources
-from jaxplore.belief.part import Part, as_parts
+from jaxplore.belief.part import Errand, Part, as_parts
 from jaxplore.belief.robot_cells import free_around
 from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shift_array, window_shape
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
@@ -38,7 +38,7 @@ from jaxplore.belief.volume_goal import (
 )
 from jaxplore.belief.volume_information import update_information
 from jaxplore.belief.volume_lattice import NODE, blank_field, points_of, volume_lattice
-from jaxplore.belief.volume_roads import NARROWEST, VolumeRoads
+from jaxplore.belief.volume_roads import FAR, NARROWEST, VolumeRoads
 from jaxplore.dynamics.goal import GOAL_RADIUS
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import clearance_of_volume, update_clearance
@@ -185,9 +185,11 @@ class VolumePerception(eqx.Module):
         self.parts = as_parts(parts, (), None, dimensions=3)
         if goal is None and goal_heading is not None:
             raise ValueError("goal_heading is given without a goal; accepted: with one")
-        if goal is not None and self.extents is not None:
+        sent = [part.name for part in self.parts if part.has_errands]
+        if self.extents is not None and (sent or goal is not None):
+            beside = "a goal" if goal is not None else f"the part {sent[0]}"
             raise ValueError(
-                f"window is {list(self.extents)} beside a goal, whose way the whole map has; "
+                f"window is {list(self.extents)} beside {beside}, whose way the whole map has; "
                 "accepted: one of them"
             )
 
@@ -250,6 +252,7 @@ class VolumePerception(eqx.Module):
         """Return a belief with what follows from its grid, before the next fields."""
         states = {part.name: part.init(grid) for part in self.parts}
         barred = self._barred_by(states)
+        errands = [part.errand(states[part.name]) for part in self.parts if part.has_errands]
         clearance = clearance_of_volume(grid, self.reach, _close(~grid.is_free, barred))
         goal = None
         if self.goal is not None:
@@ -277,7 +280,12 @@ class VolumePerception(eqx.Module):
             beyond,
             goal,
             states,
+            errand=errands[0] if errands else None,
         )
+
+    def part_named(self, name: str) -> Part | None:
+        """Return the part with a name; None without it."""
+        return next((part for part in self.parts if part.name == name), None)
 
     def barred_voxels(self, grid: VoxelGrid) -> Bool[Array, "D H W"] | None:
         """Return the voxels that the robot must not enter, or None if it may enter all.
@@ -377,7 +385,8 @@ class VolumePerception(eqx.Module):
         faces are places s as well, with the cost of the straight way to what was left outside: see
         `RollingMap.toward_the_rest`.
 
-        With a goal, the cost-to-go is that of `goal_roads` to the goal instead.
+        With a goal, the cost-to-go is that of `goal_roads` to the goal instead. On an errand that
+        is due it is that to its place through known free space, and nothing has information.
 
         The attention at a heading h is the information in view, and of each sector, whether it is
         in view or not, `turning (1 + cos(h - h_a)) / 2`. Without it, a robot that looks away from
@@ -422,6 +431,21 @@ class VolumePerception(eqx.Module):
             jnp.einsum("ha,adrc->hdrc", shares, sectors)
             for shares in (self.in_view, self.in_view + self.turning * self.towards)
         )
+        states, errand = belief.parts, belief.errand
+        if errand is not None:
+            states, errand, lengths = self._plan_errands(belief, roads, position)
+            is_due, way = errand.is_due, roads.extend(lengths)
+            guidance = jax.tree.map(functools.partial(jnp.where, is_due), way, guidance)
+            views, attention = (jnp.where(is_due, 0.0, each) for each in (views, attention))
+            if goal is not None and self.goal is not None:
+                ahead = jnp.where(is_due, way_ahead(lengths, roads, position), goal.way)
+                goal = dataclasses.replace(
+                    goal,
+                    position=jnp.where(is_due, errand.place, self.goal),
+                    way=ahead,
+                    place=jnp.where(is_due, errand.place, goal.place),
+                    fits=is_due | goal.fits,
+                )
         known: VolumeBelief = eqx.tree_at(
             lambda each: (
                 each.information.values,
@@ -441,7 +465,35 @@ class VolumePerception(eqx.Module):
                 dwell,
             ),
         )
-        return dataclasses.replace(known, goal=goal)
+        return dataclasses.replace(known, goal=goal, parts=states, errand=errand)
+
+    def _plan_errands(
+        self, belief: VolumeBelief, roads: VolumeRoads, position: Float[Array, "3"]
+    ) -> tuple[dict[str, Any], Errand, Float[Array, "D H W"]]:
+        """Return the states of parts with the decisions whether their errands are due, the errand
+        of the first part for which one is, and the cost-to-go to its place [m]."""
+        states: dict[str, Any] = dict(belief.parts)
+        found: tuple[Errand, Float[Array, "D H W"]] | None = None
+        for part in self.parts:
+            errand = part.errand(states[part.name]) if part.has_errands else None
+            if errand is None:
+                continue
+            lengths = roads.lengths_from(errand.place)
+            cost = roads.extend(lengths)(position)
+            # A node behind a wall is farther from a place at which the robot fits.
+            is_known = (lengths.min() <= 2.0 * self.required) & (cost < FAR)
+            own = part.plan_errand(states[part.name], jnp.where(is_known, cost, jnp.inf))
+            states[part.name], planned = own, part.errand(own)
+            assert planned is not None
+            if found is None:
+                found = planned, lengths
+            else:
+                first, ways = found
+                place = jnp.where(first.is_due, first.place, planned.place)
+                both = Errand(place, first.is_due | planned.is_due)
+                found = both, jnp.where(first.is_due, ways, lengths)
+        assert found is not None
+        return states, *found
 
     def _guide_to(
         self,
@@ -461,9 +513,9 @@ class VolumePerception(eqx.Module):
         needed = self.required, self._least(belief.grid.resolution)
         ways = goal_roads(roads, room, *needed, near, self.unknown_factor)
         walls = dataclasses.replace(belief.clearance, values=goal.walls)
-        place, fits = resting_place(
-            *(belief.clearance, walls, goal.position, goal.radius, self.radius)
-        )
+        # On an errand `goal.position` is its place.
+        wanted = goal.position if self.goal is None else self.goal
+        place, fits = resting_place(belief.clearance, walls, wanted, goal.radius, self.radius)
         ends = ways.around(place)
         first = self.sensors[0]
         view = belief.grid, first.elevations, first.max_range

@@ -1,5 +1,7 @@
 """What a robot knows of a volume."""
 
+import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -8,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import Flag, Scalar
 from jaxplore.belief.obstacles import Obstacles
+from jaxplore.belief.part import Errand
 from jaxplore.belief.rolling_map import RollingMap
 from jaxplore.belief.view_field import ViewField
 from jaxplore.maps.volume_field import VolumeField
@@ -65,6 +68,8 @@ class VolumeBelief(eqx.Module):
         goal: what is known of the way to the goal; None without a goal.
         parts: state of each part of the perception, by its name.
         obstacles: moving obstacles that the robot knows; None where nothing moves.
+        errand: place to which a part sends the robot; None without parts that do. While it is due,
+            `guidance` leads there, and nothing is worth a look.
     """
 
     position: Float[Array, "3"]
@@ -82,11 +87,16 @@ class VolumeBelief(eqx.Module):
     goal: GoalKnowledge | None = None
     parts: dict[str, Any] = eqx.field(default_factory=dict)
     obstacles: Obstacles | None = None
+    errand: Errand | None = None
 
     @property
     def whole(self) -> VoxelGrid:
         """Log-odds of the whole volume, of which `grid` may be a window."""
         return self.grid if self.beyond is None else self.beyond.whole(self.grid)
+
+    def with_parts(self, states: Mapping[str, Any]) -> "VolumeBelief":
+        """Return the belief with other states of some parts, by name."""
+        return dataclasses.replace(self, parts={**self.parts, **states})
 
     def split(self) -> tuple["VolumeBelief", "VolumeBelief"]:
         """Return the belief without what is stored beyond the window, and the latter alone, for

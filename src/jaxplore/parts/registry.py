@@ -7,7 +7,7 @@ from pydantic import Field, create_model
 
 from jaxplore.belief.part import Part
 from jaxplore.parts.anomalies.settings import ANOMALIES
-from jaxplore.parts.battery.settings import BATTERY
+from jaxplore.parts.battery.settings import BATTERY, BATTERY_IN_VOLUME
 from jaxplore.parts.capability import Capability, Surroundings
 from jaxplore.parts.keep_out.settings import KEEP_OUT, KEEP_OUT_BOXES
 from jaxplore.parts.recognition.settings import DETECTOR
@@ -26,6 +26,7 @@ CAPABILITIES: tuple[Capability, ...] = (
     DETECTOR,
     CHASSIS,
     BATTERY,
+    BATTERY_IN_VOLUME,
 )
 """Capabilities, a row each. A robot has its parts in this order."""
 

@@ -70,8 +70,9 @@ class Tally(NamedTuple):
 class PartReport(abc.ABC):
     """What a run shows of a part, in NumPy; a frozen dataclass.
 
-    All methods but `metrics` show nothing by default. `run` are the `MissionData` that have the
-    report, and `frame` is a `MissionFrame` of them.
+    All methods but `metrics` show nothing by default. `run` are the data of the run that have the
+    report, and `frame` is a frame of them. Pictures of a volume show `marks`, `legend` and
+    `footer`, and do not call `add_to_map` and `draw`.
     """
 
     name: ClassVar[str]
@@ -125,7 +126,8 @@ class PartReport(abc.ABC):
         return ""
 
     def marks(self, frame: Any) -> list[tuple[np.ndarray, Colour]]:
-        """Return the place (2,) [m] and colour of each disc that views show in a frame."""
+        """Return the place (2,), in a volume (3,) [m], and colour of each disc that views show in a
+        frame."""
         return []
 
     def legend(self) -> list[Entry]:

@@ -4,7 +4,8 @@ It knows no truth, as `jaxplore.robot.robot.Robot`, its twin in the plane.
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -38,6 +39,7 @@ class VolumeMeasurement(NamedTuple):
         time: time since the start [s].
         guard: judgement of the guard; None without one.
         told: moving obstacles of which the robot is told; None where nothing moves.
+        looks: what the instruments of parts say, by the name of the part; None without any.
     """
 
     state: StateVector
@@ -51,6 +53,7 @@ class VolumeMeasurement(NamedTuple):
     time: Scalar
     guard: GuardState | None = None
     told: Told | None = None
+    looks: Mapping[str, Any] | None = None
 
 
 class VolumeRobotState(NamedTuple):
@@ -152,10 +155,16 @@ class VolumeRobot(NamedTuple):
     def map_scans(
         self, own: VolumeRobotState, measured: VolumeMeasurement, sight: VolumeSight
     ) -> VolumeRobotState:
-        """Update the map by scans that are due, and store the window of a map that moves."""
+        """Update map and parts by scans that are due, and store the window of a map that moves."""
 
         def observe(before: VolumeBelief) -> tuple[VolumeBelief]:
-            return (self.perception.update(before, *sight.place, measured.scans),)
+            after = self.perception.update(before, *sight.place, measured.scans)
+            states, looks = dict(after.parts), measured.looks or {}
+            for part in self.perception.parts:
+                if part.name in looks:
+                    own = states[part.name]
+                    states[part.name] = part.look(own, looks[part.name], measured.time)
+            return (dataclasses.replace(after, parts=states),)
 
         belief, stored = own.belief.split()
         (belief,) = when_due(measured.is_scan_due, sight.is_taken, observe, (belief,))

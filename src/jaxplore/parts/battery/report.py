@@ -17,9 +17,9 @@ from jaxplore.report.drawing.footer import Entry
 from jaxplore.report.drawing.palette import PAPER, Colour
 from jaxplore.report.drawing.series import line_style, style_time
 from jaxplore.report.drawing.shapes import Surface
-from jaxplore.report.exploration.mission import MissionData
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.metrics import Column, Curve
+from jaxplore.report.of_parts import PartsData
 from jaxplore.report.part import PartMetrics, PartReport
 
 if TYPE_CHECKING:
@@ -102,13 +102,13 @@ class BatteryReport(PartReport):
         """Return the report with an offset (2,) [m] added to the docks."""
         return dataclasses.replace(self, docks=move_points(self.docks, offset))
 
-    def charges(self, run: MissionData) -> np.ndarray:
+    def charges(self, run: PartsData) -> np.ndarray:
         """Return the charge of each robot (N + 1, R) at all instants of a run."""
         rows = np.asarray(run.records.parts[self.name].charge).reshape(run.num_steps, -1)
         # The record of a step holds what is true at its end.
         return np.concatenate([np.full((1, len(self.docks)), self.charge), rows])
 
-    def metrics(self, run: MissionData) -> BatteryMetrics:
+    def metrics(self, run: PartsData) -> BatteryMetrics:
         """Compute the metrics."""
         charges, period = self.charges(run), run.control_period
         is_docked = np.asarray(run.records.parts[self.name].is_docked, bool)
@@ -124,15 +124,15 @@ class BatteryReport(PartReport):
             empty_at=float(empty[0]) * period if len(empty) else None,
         )
 
-    def series(self, run: MissionData) -> dict[str, np.ndarray]:
+    def series(self, run: PartsData) -> dict[str, np.ndarray]:
         """Return the charge at each instant, in a fleet the least one."""
         return {"charge": self.charges(run).min(axis=1)}
 
-    def figures(self, run: MissionData) -> dict[str, Callable[[], "Figure"]]:
+    def figures(self, run: PartsData) -> dict[str, Callable[[], "Figure"]]:
         """Return the figure of the charge."""
         return {"battery": partial(battery_figure, run, self)}
 
-    def add_to_map(self, axes: "Axes", run: MissionData, window: Window) -> None:
+    def add_to_map(self, axes: "Axes", run: PartsData, window: Window) -> None:
         """Draw the docks."""
         places = window.place(self.docks) + window.corner
         axes.plot(
@@ -154,7 +154,7 @@ class BatteryReport(PartReport):
             for dx, dy in ((0.55 * reach, 0.0), (0.0, 0.55 * reach)):
                 draw.line((x - dx, y - dy, x + dx, y + dy), PAPER, round(2.0 * unit))
 
-    def footer(self, run: MissionData, frame: Any) -> str:
+    def footer(self, run: PartsData, frame: Any) -> str:
         """Return the charge in a frame, in a fleet the least one."""
         charges = self.charges(run).min(axis=1)
         return f"battery {100.0 * charges[min(frame.step, len(charges) - 1)]:.0f} %"
@@ -179,7 +179,7 @@ def count_recharges(is_docked: np.ndarray, charge: np.ndarray) -> int:
     return int((charge[ends] - charge[begins] >= RECHARGE).sum())
 
 
-def battery_figure(run: MissionData, report: BatteryReport) -> "Figure":
+def battery_figure(run: PartsData, report: BatteryReport) -> "Figure":
     """Draw the charge over time, the reserve, and when a robot was charged."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

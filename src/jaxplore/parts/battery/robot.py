@@ -4,13 +4,14 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._trees import with_field
 from jaxplore._types import ArrayLike, Flag, Position, Scalar, Vector
 from jaxplore.belief.part import Errand, Part
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.voxel_grid import VoxelGrid
 
 JOULES = 3600.0
 """Joules of a watt hour."""
@@ -21,12 +22,12 @@ class Charge(NamedTuple):
 
     Args:
         energy: energy that is left [J].
-        dock: position (x, y) of the dock [m].
+        dock: position (x, y) of the dock, in a volume (x, y, z) [m].
         is_returning: whether the robot drives to its dock, or is charged there.
     """
 
     energy: Scalar
-    dock: Position
+    dock: Float[Array, " D"]
     is_returning: Flag
 
 
@@ -37,7 +38,8 @@ class Consumption(eqx.Module):
 
         E = idle dt + per_metre s + mass / 2 max(0, v'^2 - v^2)                              [J]
 
-    Braking gives nothing back. Slopes are not modelled.
+    Braking gives nothing back. Slopes and climbs are not modelled. The power `idle` of a robot that
+    hovers is that of hovering.
     """
 
     idle: Scalar
@@ -66,12 +68,14 @@ class Battery(Part):
 
     with d the cost-to-go to the dock [m] through known free space, which is the length of the way,
     counted up to double where the robot just fits. While no way to the dock is known, it explores.
-    It stays at the dock until the battery is full up to the share `enough`.
+    It stays at the dock until the battery is full up to the share `enough`. A quadrotor hovers
+    there, at the position of its dock.
 
     Defaults are about those of a TurtleBot 4: 26 Wh, which last for 2.5 to 4 hours.
 
     Args:
-        dock: position (x, y) of the dock [m]; that of the robot's start when absent.
+        dock: position (x, y) of the dock, in a volume (x, y, z) with z up [m]; that of the robot's
+            start when absent.
         capacity: energy of the full battery [Wh].
         idle: power of the robot at rest [W].
         per_metre: energy of a metre of way [J/m].
@@ -86,9 +90,10 @@ class Battery(Part):
     """
 
     name: ClassVar[str] = "battery"
+    dimensions: ClassVar[tuple[int, ...]] = (2, 3)
     is_revisiting: ClassVar[bool] = False
 
-    dock: Position | None
+    dock: Float[Array, " D"] | None
     capacity: Scalar
     consumption: Consumption
     reserve: Scalar
@@ -108,7 +113,7 @@ class Battery(Part):
         enough: ArrayLike = 0.95,
         cruise: ArrayLike = 0.5,
     ) -> None:
-        self.dock = None if dock is None else _checks.vector("dock", dock, 2)
+        self.dock = None if dock is None else _checks.array("dock", dock, (2,), (3,))
         self.capacity = JOULES * _checks.scalar("capacity", capacity, above=0.0)
         self.consumption = Consumption(
             _checks.scalar("idle", idle, at_least=0.0),
@@ -122,11 +127,11 @@ class Battery(Part):
         self.cruise = _checks.scalar("cruise", cruise, above=0.0)
         self.is_placed = True
 
-    def init(self, grid: OccupancyGrid) -> Charge:
+    def init(self, grid: OccupancyGrid | VoxelGrid) -> Charge:
         """Return a full battery; a robot on board begins at (0, 0)."""
-        return self.charged(self.capacity, jnp.zeros(2))
+        return self.charged(self.capacity, jnp.zeros(len(grid.shape)))
 
-    def charged(self, energy: Scalar, start: Position) -> Charge:
+    def charged(self, energy: Scalar, start: Float[Array, " D"]) -> Charge:
         """Return the state with an energy [J] of a robot that begins at `start` [m]."""
         dock = start if self.dock is None else self.dock
         return Charge(energy, dock, jnp.array(False))

@@ -1,5 +1,6 @@
 """Settings of a battery and its dock."""
 
+import dataclasses
 from typing import Annotated
 
 from pydantic import Field
@@ -11,14 +12,10 @@ from jaxplore.settings.defaults import arguments, setting
 from jaxplore.settings.sections import NonNegative, Positive, Real, Section, Share
 
 
-class BatterySettings(Section):
-    """A battery, and the dock where it is charged: see `jaxplore.parts.Battery`.
+class EnergySettings(Section):
+    """A battery, and the dock where it is charged: see `jaxplore.parts.Battery`."""
 
-    Args:
-        dock: position (x, y) of the dock [m]; that of the start of each robot when absent.
-    """
-
-    dock: tuple[Real, Real] | None = None
+    dock: tuple[Real, ...] | None = None
     capacity: Positive = setting(Battery, "capacity")
     idle: NonNegative = setting(Battery, "idle")
     per_metre: NonNegative = setting(Battery, "per_metre")
@@ -30,7 +27,27 @@ class BatterySettings(Section):
     charge: Share = setting(TrueBattery, "charge")
 
 
-def build_battery(given: BatterySettings, around: Surroundings) -> Built:
+class BatterySettings(EnergySettings):
+    """A battery, and the dock where it is charged: see `jaxplore.parts.Battery`.
+
+    Args:
+        dock: position (x, y) of the dock [m]; that of the start of each robot when absent.
+    """
+
+    dock: tuple[Real, Real] | None = None
+
+
+class FlightBatterySettings(EnergySettings):
+    """The battery of a robot in a volume, and its dock: see `jaxplore.parts.Battery`.
+
+    Args:
+        dock: position (x, y, z) of the dock, with z up [m]; that of the start when absent.
+    """
+
+    dock: tuple[Real, Real, Real] | None = None
+
+
+def build_battery(given: EnergySettings, around: Surroundings) -> Built:
     """Build the part on board and its truth."""
     dock = None if given.dock is None else around.datum.to_local(given.dock)
     battery = Battery(dock, **arguments(given, Battery))
@@ -44,3 +61,4 @@ BATTERY = Capability(
     build=build_battery,
     sends_robot=True,
 )
+BATTERY_IN_VOLUME = dataclasses.replace(BATTERY, settings=FlightBatterySettings, dimensions=3)

@@ -6,18 +6,19 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Flag, Key, Pose, Position, Scalar, StateVector
-from jaxplore.maps.frame import GridFrame
+from jaxplore._types import ArrayLike, Flag, Key, Scalar, StateVector
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parts.battery.report import BatteryRecord, BatteryReport
 from jaxplore.parts.battery.robot import JOULES, Battery, Charge
 from jaxplore.sensing.base import Sensor
-from jaxplore.simulation.exploration.checks import check_goal
+from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.exploration.part_truth import Drive, PartTruth, Site
-from jaxplore.simulation.exploration.reachability import to_grid
 from jaxplore.simulation.exploration.true_world import TrueWorld
+from jaxplore.simulation.volume.true_volume import TrueVolume
 
 DOCK_RADIUS = 0.3
 """Distance of the robot's centre from the dock within which it is charged [m]."""
@@ -30,7 +31,7 @@ class BatteryState(NamedTuple):
     the part of the last changes that rounding has left out of the energy [J]."""
 
     energy: Scalar
-    dock: Position
+    dock: Float[Array, " D"]
     is_docked: Flag
     rest: Scalar
 
@@ -73,27 +74,24 @@ class TrueBattery(PartTruth):
         if battery.dock is None or not battery.is_placed:
             return self
         place = np.asarray(battery.dock)
-        check_goal(
-            *(battery.dock, site.world, site.robot, site.reachable, DOCK_RADIUS, site.datum),
-            name="dock",
-        )
-        way = drive_length(site.reachable, site.world.frame, site.start, place)
+        site.check_place("dock", place, DOCK_RADIUS)
+        way = drive_length(site, site.start[:-1], place)
         needed = float(battery.needed(jnp.asarray(way, jnp.float32)))
         energy = float(self.charge * battery.capacity)
         if energy <= needed:
-            x, y = site.datum.round_to_map(place).tolist()
+            told = ", ".join(f"{each:g}" for each in site.datum.round_to_map(place).tolist())
             raise ValueError(
-                f"dock is ({x:g}, {y:g}), {way:.1f} m from the start, for which the battery of "
+                f"dock is ({told}), {way:.1f} m from the start, for which the battery of "
                 f"{energy / JOULES:.3g} Wh needs {needed / JOULES:.3g} Wh with its reserve; "
                 "accepted: a dock that it reaches"
             )
         return self
 
-    def init_part(self, part: Battery, pose: Pose) -> Charge:
+    def init_part(self, part: Battery, pose: Float[Array, " P"]) -> Charge:
         """Return what the robot knows of its charge at the start."""
-        return part.charged(self.charge * part.capacity, pose[:2])
+        return part.charged(self.charge * part.capacity, pose[:-1])
 
-    def init(self, pose: Pose) -> BatteryState:
+    def init(self, pose: Float[Array, " P"]) -> BatteryState:
         """Return the charge at the start."""
         known = self.init_part(self.battery, pose)
         return BatteryState(known.energy, known.dock, jnp.array(False), jnp.zeros(()))
@@ -102,9 +100,9 @@ class TrueBattery(PartTruth):
         self,
         part: Battery,
         own: BatteryState,
-        truth: TrueWorld,
-        sensors: Sequence[Sensor],
-        pose: Pose,
+        truth: TrueWorld | TrueVolume,
+        sensors: Sequence[Sensor] | Sequence[VolumeSensor],
+        pose: Float[Array, " P"],
         key: Key,
     ) -> Scalar:
         """Return the energy that is left [J]."""
@@ -117,16 +115,11 @@ class TrueBattery(PartTruth):
 
     def update(self, own: BatteryState, drive: Drive) -> BatteryState:
         """Return the charge after a period."""
-        robot, period = drive.robot, drive.period
-        before, after = (
-            jnp.hypot(*robot.twist(state, drive.control)[:2])
-            for state in (drive.before, drive.after)
-        )
-        moved = robot.position(drive.after) - robot.position(drive.before)
-        way = jnp.hypot(moved[0], moved[1])
+        period, here = drive.period, drive.position(drive.after)
+        before, after = (measure(drive.velocity(state)) for state in (drive.before, drive.after))
+        way = measure(here - drive.position(drive.before))
         used = self.battery.consumption.energy(period, way, before, after)
-        away = robot.position(drive.after) - own.dock
-        is_near = jnp.hypot(away[0], away[1]) <= DOCK_RADIUS
+        is_near = measure(here - own.dock) <= DOCK_RADIUS
         # A robot that has come to rest at its dock is charged until it leaves it.
         is_docked = is_near & (own.is_docked | (way <= DOCK_SPEED * period))
         charged = jnp.where(is_docked, self.power * period, 0.0)
@@ -147,11 +140,12 @@ class TrueBattery(PartTruth):
         return BatteryRecord(own.energy / self.battery.capacity, own.is_docked)
 
     def report(
-        self, part: Battery, known: Charge, own: BatteryState, grid: OccupancyGrid
+        self, part: Battery, known: Charge, own: BatteryState, grid: OccupancyGrid | VoxelGrid
     ) -> BatteryReport:
         """Return the dock and the numbers of the battery."""
+        docks = np.asarray(known.dock, np.float64)
         return BatteryReport(
-            docks=np.asarray(known.dock, np.float64).reshape(-1, 2),
+            docks=docks.reshape(-1, docks.shape[-1]),
             capacity=float(part.capacity) / JOULES,
             reserve=float(part.reserve),
             charge=float(self.charge),
@@ -162,38 +156,47 @@ class TrueBattery(PartTruth):
         return told
 
 
-def drive_length(
-    reachable: np.ndarray, frame: GridFrame, start: np.ndarray, end: np.ndarray
-) -> float:
+def measure(vector: Float[Array, " D"]) -> Scalar:
+    """Return the length of a vector of two or three components."""
+    level = jnp.hypot(vector[0], vector[1])
+    return level if vector.shape[0] == 2 else jnp.hypot(level, vector[2])
+
+
+def drive_length(site: Site, start: np.ndarray, end: np.ndarray) -> float:
     """Return the length of the shortest way between two places over the reachable cells [m].
 
-    Steps lead to the eight cells around a cell. The result is infinite without a way, and the
-    distance of the places if they are less than two cells apart.
+    Steps lead to the 8 cells around a cell, in a volume to the 26 voxels around a voxel. The result
+    is infinite without a way, and the distance of the places if they are less than two cells apart.
 
-    `reachable` (H, W) are cells of a grid with `frame`, and both places are (x, y, ...) [m].
+    Both places are (x, y), in a volume (x, y, z) [m].
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
-    apart = float(np.hypot(*(np.asarray(end, np.float64)[:2] - np.asarray(start)[:2])))
-    if apart < 2.0 * frame.resolution:
+    side: float = site.world.resolution
+    apart = float(np.linalg.norm(np.asarray(end, np.float64) - np.asarray(start)))
+    if apart < 2.0 * side:
         return apart
-    number = np.full(np.add(reachable.shape, 2), -1)
-    number[1:-1, 1:-1][reachable] = np.arange(int(reachable.sum()))
-    rows, columns = np.nonzero(number >= 0)
+    number = np.full(np.add(site.reachable.shape, 2), -1, np.int32)
+    inside = number[(slice(1, -1),) * number.ndim]
+    inside[site.reachable] = 0
+    cells = np.nonzero(number >= 0)
+    number[cells] = np.arange(len(cells[0]))
     froms, tos, lengths = [], [], []
-    for down, right in itertools.product((-1, 0, 1), repeat=2):
-        beside = number[rows + down, columns + right]
-        is_step = (beside >= 0) & bool(down or right)
-        froms.append(number[rows, columns][is_step])
+    steps = list(itertools.product((-1, 0, 1), repeat=number.ndim))
+    # Half of the steps are the others the other way round.
+    for step in steps[: len(steps) // 2]:
+        beside = number[tuple(axis + by for axis, by in zip(cells, step, strict=True))]
+        is_step = beside >= 0
+        froms.append(number[cells][is_step])
         tos.append(beside[is_step])
-        lengths.append(np.full(int(is_step.sum()), np.hypot(down, right)))
-    steps = np.concatenate(lengths), (np.concatenate(froms), np.concatenate(tos))
-    graph = coo_array(steps, shape=(len(rows), len(rows))).tocsr()
-    centres = np.stack([rows, columns], axis=-1) - 0.5
+        lengths.append(np.full(int(is_step.sum()), np.linalg.norm(step)))
+    ways = np.concatenate(lengths), (np.concatenate(froms), np.concatenate(tos))
+    graph = coo_array(ways, shape=(len(cells[0]),) * 2).tocsr()
+    centres = np.stack(cells, axis=-1) - 0.5
     ends = [
-        int(np.argmin(np.hypot(*(centres - np.asarray(to_grid(frame, place))).T)))
-        for place in (np.asarray(each[:2], np.float32) for each in (start, end))
+        int(np.argmin(np.linalg.norm(centres - site.to_grid(place), axis=1)))
+        for place in (start, end)
     ]
-    away = dijkstra(graph, indices=ends[0])
-    return float(away[ends[1]]) * frame.resolution
+    away = dijkstra(graph, directed=False, indices=ends[0])
+    return float(away[ends[1]]) * side

@@ -32,7 +32,7 @@ class KeepOutBoxes(Part):
     """
 
     name: ClassVar[str] = "keep_out"
-    dimensions: ClassVar[int] = 3
+    dimensions: ClassVar[tuple[int, ...]] = (3,)
     is_revisiting: ClassVar[bool] = False
 
     boxes: Float[Array, "N 6"]

@@ -1,4 +1,4 @@
-"""The last metre to a goal in a volume: a position controller takes over."""
+"""The last metre to a goal or a dock in a volume: a position controller takes over."""
 
 from typing import Any, ClassVar
 
@@ -26,9 +26,10 @@ POINTS = 9
 
 
 class GoalApproach(ModelBasedController):
-    """Flies to a goal with another controller, and over the last metre with a position controller.
+    """Flies with another controller, and over the last metre to a goal with a position controller.
 
-    The place at which it comes to rest is that with room next to the goal (`GoalKnowledge.place`).
+    The goal is that of the belief, or the place of an errand while that is due, such as a dock. The
+    place at which it comes to rest is that with room next to it (`GoalKnowledge.place`).
     Within `near` of it, where the straight line to it keeps the robot's radius from all that
     is not known to be free, and where nothing that moves is within 0.8 m, the command is that of
     `QuadrotorFollower`. It comes to rest there, and turns to the heading of the goal if it has one.
@@ -66,28 +67,37 @@ class GoalApproach(ModelBasedController):
     ) -> tuple[ControlVector, Any, Info]:
         """Compute one control; see `Controller.step`."""
         control, after, info = self.flying.step(state, observation, belief, key=key)
-        goal: GoalKnowledge = part(belief, "goal")
-        follower = self.follower
-        if goal.heading is not None:
-            follower = eqx.tree_at(
-                lambda each: each.heading, follower, goal.heading, is_leaf=lambda each: each is None
-            )
+        follower, errand = self.follower, belief.errand
+        if belief.goal is None and errand is not None:
+            place, is_due, fits = errand.place, errand.is_due, jnp.array(True)
+        else:
+            # The goal is the place of an errand while that is due.
+            goal: GoalKnowledge = part(belief, "goal")
+            place, is_due, fits = goal.place, jnp.array(True), goal.fits
+            if goal.heading is not None:
+                follower = eqx.tree_at(
+                    lambda each: each.heading,
+                    follower,
+                    goal.heading,
+                    is_leaf=lambda each: each is None,
+                )
         # A mirror in z: the model has z down.
-        target = position_upwards(goal.place)
+        target = position_upwards(place)
         held = follower.control(self.dynamics, observation, target, jnp.zeros(3))
         held = jnp.clip(held, self.dynamics.control_min, self.dynamics.control_max)
-        return jnp.where(self._takes_over(observation, belief, goal), held, control), after, info
+        takes_over = is_due & fits & self._takes_over(observation, belief, place)
+        return jnp.where(takes_over, held, control), after, info
 
-    def _takes_over(self, observation: StateVector, belief: Any, goal: GoalKnowledge) -> Flag:
-        """Check whether the goal is near, and the straight line to it is free."""
+    def _takes_over(self, observation: StateVector, belief: Any, place: Float[Array, "3"]) -> Flag:
+        """Check whether the place is near, and the straight line to it is free."""
         here = position_upwards(observation)
-        gap = goal.place - here
+        gap = place - here
         shares = jnp.linspace(0.0, 1.0, POINTS)[:, None]
         line: Float[Array, "9 3"] = here + shares * gap
         room = jax.vmap(belief.clearance)(line)
         # Where the robot is nearer to something than its radius, it may fly away from that.
         is_open = room.min() >= jnp.minimum(self.dynamics.radius, room[0] - ROUNDING)
-        is_free: Flag = goal.fits & is_open & (jnp.sum(gap * gap) < self.near * self.near)
+        is_free: Flag = is_open & (jnp.sum(gap * gap) < self.near * self.near)
         if belief.obstacles is None:
             return is_free
         state = State(observation, self.dynamics, self.dynamics.default_control)

@@ -9,7 +9,6 @@ from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.guard import guard_metrics
 from jaxplore.report.exploration.localisation import localisation_metrics
 from jaxplore.report.exploration.metrics import ExplorationMetrics
-from jaxplore.report.exploration.mission_metrics import mission_curves, mission_metrics
 from jaxplore.report.exploration.progress import longest_stall, progress
 from jaxplore.report.metrics import thin_series
 from jaxplore.report.motion import command_jerk, episodes
@@ -22,14 +21,14 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
     in_contact = recording.by_robot(records.is_collision).astype(bool)
     sample_size = np.asarray(records.effective_sample_size, np.float64)
     sample_size = sample_size[np.isfinite(sample_size)]
-    curve = {"time": time, "coverage": coverage, "path": path, **mission_curves(recording)}
+    curve = {"time": time, "coverage": coverage, "path": path, **recording.part_curves()}
     final_entropy, final_unknown = measure_belief(recording)
     if entropy is not None and records.unknown is not None:
         unknown = at_instants(records.unknown, recording.initial_unknown)
         curve |= {"entropy": entropy, "unknown": unknown}
         final_entropy, final_unknown = entropy[-1], float(unknown[-1])
     lost = recording.initial_entropy - final_entropy
-    parts, given_up = mission_metrics(recording), recording.given_up_step
+    parts, given_up = recording.part_metrics(), recording.given_up_step
     ends_by_parts = any(each.is_end for each in parts.values())
     finished_at = _find_finish(recording, float(coverage[-1]), ends_by_parts=ends_by_parts)
     diversity, replaced = fusion_means(recording)

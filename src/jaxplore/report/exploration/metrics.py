@@ -177,7 +177,7 @@ class ExplorationMetrics(MissionMetrics, GuardMetrics):
             rows.append(("given up", f"nothing new to see; {left} unreachable or hidden"))
         if self.is_interrupted:
             rows.append(("interrupted", "by the user"))
-        rows += [*self._level_rows(), *self.mission_rows(), *self._map_rows()]
+        rows += [*self._level_rows(), *self.part_rows(), *self._map_rows()]
         sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
         rows += [
             *numbers("command jerk", "{:.1f} ranges/s²", self.command_jerk),

@@ -2,17 +2,15 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from jaxplore.maps.datum import move_points
-from jaxplore.report.part import PartReport, Tally
-from jaxplore.report.recording import Frame, RunData
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from jaxplore.report.of_parts import PartsData
+from jaxplore.report.part import Tally
+from jaxplore.report.recording import Frame
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -27,7 +25,7 @@ class MissionFrame(Frame):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
-class MissionData(RunData):
+class MissionData(PartsData):
     """A run on a map, what was looked for beside the map, and what was found of it.
 
     Args:
@@ -44,7 +42,7 @@ class MissionData(RunData):
         given_up_step: number of steps until it was given up; None if it was not.
         elevation: (H, W) elevation of the ground [m]; None if it is level.
         traversable: (H, W) cells that may be entered; None if all that are free may.
-        parts: what the run shows of each part of the robots, by its name.
+
     """
 
     world: np.ndarray
@@ -59,7 +57,6 @@ class MissionData(RunData):
     given_up_step: int | None = None
     elevation: np.ndarray | None = None
     traversable: np.ndarray | None = None
-    parts: Mapping[str, PartReport] = dataclasses.field(default_factory=dict)
 
     @property
     @abc.abstractmethod
@@ -71,21 +68,6 @@ class MissionData(RunData):
         found = (each.tally(self) for each in self.parts.values())
         return [each for each in found if each is not None]
 
-    def part_figures(self) -> dict[str, Callable[[], "Figure"]]:
-        """Return functions that draw the figures of parts, by file name without suffix."""
-        return {
-            name: draw for each in self.parts.values() for name, draw in each.figures(self).items()
-        }
-
-    def part_arrays(self, records: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Return what `arrays.npz` has of parts: the fields of their records, and `arrays`."""
-        fields = [each._asdict() for each in records.values()]
-        fields += [each.arrays() for each in self.parts.values()]
-        return {name: np.asarray(rows) for each in fields for name, rows in each.items()}
-
     def move_mission(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
-        return {
-            "origin": move_points(self.origin, offset),
-            "parts": {name: each.move(offset) for name, each in self.parts.items()},
-        }
+        return {"origin": move_points(self.origin, offset), "parts": self.move_parts(offset)}

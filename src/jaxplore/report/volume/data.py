@@ -16,10 +16,12 @@ from jaxplore.report.coverage_levels import (
     find_first,
     reach_levels,
 )
+from jaxplore.report.drawing.palette import Colour
 from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics, guard_metrics
 from jaxplore.report.metrics import Column, Curve, thin_series
 from jaxplore.report.motion import episodes
-from jaxplore.report.recording import Frame, LiveCurves, RunData, move_records, move_states
+from jaxplore.report.of_parts import PartsData, PartsMetrics
+from jaxplore.report.recording import Frame, LiveCurves, move_records, move_states
 from jaxplore.report.targets import last_target_at, target_rows
 
 
@@ -39,6 +41,7 @@ class VolumeRecord(NamedTuple):
         is_untraversable: whether part of the robot is in a keep-out box; None without any.
         stop: why the guard stopped the robot, an index into `control.stops.REASONS`; 0 if it did
             not, None without a guard.
+        parts: record of each part of the robot that has one, by its name; None in older files.
     """
 
     state: StateVector
@@ -51,6 +54,7 @@ class VolumeRecord(NamedTuple):
     targets_seen: Count | None = None
     is_untraversable: Flag | None = None
     stop: Count | None = None
+    parts: dict[str, Any] | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -89,7 +93,7 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
-class VolumeData(RunData):
+class VolumeData(PartsData):
     """Data of an exploration of a volume: every step, frames, and the true world.
 
     Args:
@@ -136,8 +140,13 @@ class VolumeData(RunData):
             "origin": move_points(self.origin, offset),
             "targets": move_points(self.targets, offset),
             "goal": None if self.goal is None else move_points(self.goal, offset),
+            "parts": self.move_parts(offset),
             "boxes": move_points(move_points(self.boxes, offset), offset, (3, 4)),
         }
+
+    def marks(self, frame: VolumeFrame) -> list[tuple[np.ndarray, Colour]]:
+        """Return the place (3,) [m] and the colour of what parts mark in a frame."""
+        return [mark for each in self.parts.values() for mark in each.marks(frame)]
 
     @property
     def live_curves(self) -> LiveCurves:
@@ -163,7 +172,7 @@ class VolumeData(RunData):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class VolumeMetrics(GuardMetrics):
+class VolumeMetrics(PartsMetrics, GuardMetrics):
     """Metrics of an exploration of a volume.
 
     Args:
@@ -182,7 +191,8 @@ class VolumeMetrics(GuardMetrics):
         last_target_at: time at which the last target was seen [s]; None if some were not.
         goal_distance: distance from the goal at the end [m]; None without a goal.
         untraversable_steps: number of steps that ended with part of the robot in a keep-out box.
-        curve: time, coverage and path, and with targets how many were found, for plots.
+        curve: time, coverage and path, with targets how many were found, and the curves of parts,
+            for plots.
     """
 
     coverage: float
@@ -236,6 +246,7 @@ class VolumeMetrics(GuardMetrics):
             ("path", f"{self.path_length:.1f} m, {self.mean_speed:.2f} m/s in the mean"),
             ("collisions", str(self.collisions)),
             *self.guard_rows(),
+            *self.part_rows(),
             *(
                 [("untraversable", f"{self.untraversable_steps} steps")]
                 if self.untraversable_steps
@@ -266,6 +277,7 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
     finished_at = None if done is None else min(done + 1, data.num_steps) * period
     sizes = np.asarray(records.effective_sample_size, np.float64)
     curve = {"time": data.time, "coverage": coverage, "path": path, **curve_of_targets}
+    curve |= data.part_curves()
     return VolumeMetrics(
         **data.common_metrics(finished_at=finished_at, seed=seed),
         coverage=float(coverage[-1]),
@@ -275,6 +287,7 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         volume=float(data.observable.sum()) * data.resolution**3,
         collisions=episodes(np.asarray(records.is_collision, bool)),
         **guard_metrics(records.stop),
+        parts=data.part_metrics(),
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         mean_speed=float(path[-1] / max(period, data.num_steps * period)),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,

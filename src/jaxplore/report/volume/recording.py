@@ -12,7 +12,8 @@ from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing import colours
 from jaxplore.report.drawing.film import FilmOptions, write_film
-from jaxplore.report.drawing.palette import fit_palette
+from jaxplore.report.drawing.footer import fonts
+from jaxplore.report.drawing.palette import INK, PAPER, Colour, fit_palette
 from jaxplore.report.recording import Course, Recording
 from jaxplore.report.volume.data import (
     FREE,
@@ -37,6 +38,8 @@ WIDTH = 640
 """Width of a frame [pixels]."""
 GAP = 8
 """Height of the gap between the two slices [pixels]."""
+WORDS = 22
+"""Height of the words of parts below them [pixels]."""
 BESIDE = 0.7
 """Distance from a slice through the robot beyond which its trail is pale [m]."""
 TRAIL, PALE, PLAN = "#1f77b4", "#b9d3e6", "#d62728"
@@ -82,7 +85,9 @@ class VolumeRecording(VolumeData, Recording):
         upright = _slice_image(frame.upright, pixels)
         gap = round(scale * GAP)
         size = level.width, level.height + gap + upright.height
-        picture = Image.new("RGB", size, "white")
+        words = [each.footer(self, frame) for each in self.parts.values()]
+        said, below = ", ".join(filter(None, words)), round(scale * WORDS)
+        picture = Image.new("RGB", (size[0], size[1] + (below if said else 0)), "white")
         picture.paste(level, (0, 0))
         picture.paste(upright, (0, level.height + gap))
         draw = ImageDraw.Draw(picture)
@@ -126,6 +131,12 @@ class VolumeRecording(VolumeData, Recording):
                 draw.regular_polygon((*here, 1.5 * radius), 4, 45, GOAL, GOAL)
         for x, y in (trail[-1], side[-1]):
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=PLAN, width=2)
+        for mark, colour in self.marks(frame):
+            x, y, z = ((mark - self.origin) / self.resolution * pixels).tolist()
+            for across, up in ((x, level.height - y), (x, size[1] - z)):
+                draw_plus(draw, across, up, 0.7 * radius, colour)
+        if said:
+            draw.text((0.25 * below, size[1] + 0.1 * below), said, INK, fonts(scale)[1])
         return picture
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:
@@ -134,6 +145,7 @@ class VolumeRecording(VolumeData, Recording):
             "volume": partial(volume_figure, self),
             "slices": partial(slices_figure, self),
             "coverage": partial(coverage_figure, self),
+            **self.part_figures(),
         }
 
     def files(self) -> dict[str, Callable[[Path], None]]:
@@ -146,10 +158,15 @@ class VolumeRecording(VolumeData, Recording):
         Each field of `VolumeRecord` under its name, one row per step; `time` (N + 1,) [s],
         `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `observable` (D, H, W),
         `origin`, `resolution`, `control_period`, `start`, `state_names`, `targets` (M, 3) [m], with
-        a goal `goal` (3,), and with keep-out boxes `boxes` (B, 6) [m].
+        a goal `goal` (3,), and with keep-out boxes `boxes` (B, 6) [m]. Each field of the record of
+        a part is there under its name, and what `PartReport.arrays` returns.
         """
+        steps = {name: rows for name, rows in self.records._asdict().items() if rows is not None}
         return {
-            **super().arrays(),
+            **self.part_arrays(steps.pop("parts", {})),
+            **{name: np.asarray(rows) for name, rows in steps.items()},
+            "time": self.time,
+            "control_period": np.asarray(self.control_period),
             "positions": self.positions,
             "world": self.world,
             "belief": self.belief,
@@ -176,6 +193,19 @@ def _slice_image(states: np.ndarray, pixels: float) -> Image.Image:
     image = Image.fromarray(pixels_of[states[::-1]])
     rows, columns = states.shape
     return image.resize((round(columns * pixels), round(rows * pixels)), Image.Resampling.NEAREST)
+
+
+def list_names(data: VolumeData) -> dict[Colour, str]:
+    """Return the names of the colours of marks."""
+    entries = [entry for each in data.parts.values() for entry in each.legend()]
+    return {entry.colour: entry.name for entry in entries}
+
+
+def draw_plus(draw: ImageDraw.ImageDraw, x: float, y: float, reach: float, colour: Colour) -> None:
+    """Draw a square with a plus, `reach` pixels to each side of a place [pixels]."""
+    draw.rectangle((x - reach, y - reach, x + reach, y + reach), colour, PAPER, 1)
+    for dx, dy in ((0.55 * reach, 0.0), (0.0, 0.55 * reach)):
+        draw.line((x - dx, y - dy, x + dx, y + dy), PAPER, max(1, round(0.3 * reach)))
 
 
 def volume_figure(data: VolumeData) -> "Figure":
@@ -205,7 +235,11 @@ def volume_figure(data: VolumeData) -> "Figure":
             axes.plot(*edge.T, color=BOX, linewidth=1.2)
     if data.goal is not None:
         axes.scatter(*data.goal, color=GOAL, marker="*", s=120, label="goal", depthshade=False)
-    if len(is_found) or data.goal is not None:
+    marks, names = data.marks(data.frames[-1]), list_names(data)
+    for place, colour in marks:
+        shade = colours.shade(colour[:3])
+        axes.scatter(*place, color=shade, marker="P", s=70, label=names.pop(colour, None))
+    if len(is_found) or data.goal is not None or marks:
         axes.legend(loc="upper left", frameon=False)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
@@ -242,7 +276,8 @@ def write_turntable(data: VolumeData, path: Path) -> None:
     def draw(azimuth: float) -> Image.Image:
         edges = [edge for box in data.boxes for edge in box_edges(box)]
         places = data.resolution, data.positions, azimuth
-        return picture.draw(points, shades, *places, goal=data.goal, edges=edges)
+        marks = data.marks(data.frames[-1])
+        return picture.draw(points, shades, *places, goal=data.goal, edges=edges, marks=marks)
 
     angles = [math.radians(60.0) + 2.0 * math.pi * turn / TURNS for turn in range(TURNS)]
     options = FilmOptions(fps=12.5)
@@ -280,6 +315,9 @@ def slices_figure(data: VolumeData) -> "Figure":
                 axes.add_patch(patch)
         if data.goal is not None and np.abs(heights - data.goal[2]).argmin() == number - 1:
             axes.plot(*data.goal[:2], marker="*", color=GOAL, markersize=10)
+        for place, colour in data.marks(data.frames[-1]):
+            if np.abs(heights - place[2]).argmin() == number - 1:
+                axes.plot(*place[:2], marker="P", color=colours.shade(colour[:3]), markersize=9)
         axes.set_title(f"z = {z:.2f} m", fontsize=9)
         axes.set_ylabel("y [m]")
     axes.set_xlabel("x [m]")

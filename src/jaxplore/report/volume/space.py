@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from jaxplore.report.drawing.palette import PLAN, REFERENCE, ROBOT
+from jaxplore.report.drawing.palette import PAPER, PLAN, REFERENCE, ROBOT, Colour
 
 MOST_POINTS = 30_000
 """Greatest number of voxels of a figure or a page."""
@@ -101,12 +101,14 @@ class SpacePicture:
         plan: np.ndarray | None = None,
         goal: np.ndarray | None = None,
         edges: Sequence[np.ndarray] = (),
+        marks: Sequence[tuple[np.ndarray, Colour]] = (),
     ) -> Image.Image:
         """Draw voxels, the farthest first, and over them the path and the plan of the robot.
 
         The points (N, 3) are the middles of the voxels [m], and `side` is that of a voxel [m]. The
         path (M, 3), the plan (T, 3) and the goal (3,) are positions [m]. The viewer looks in the
-        direction `azimuth` [rad]. `edges` (2, 3) are those of keep-out boxes [m].
+        direction `azimuth` [rad]. `edges` (2, 3) are those of keep-out boxes [m]. `marks` are the
+        places (3,) [m] and colours of squares.
         """
         width, height = self.size
         image = np.full((height, width, 3), 255, np.uint8)
@@ -148,6 +150,9 @@ class SpacePicture:
         if goal is not None:
             (x, y), radius = self.project(goal[None], azimuth)[0][0].tolist(), 7
             draw.regular_polygon((x, y, radius), 4, 45, REFERENCE[:3])
+        for place, fill in marks:
+            (x, y), reach = self.project(place[None], azimuth)[0][0].tolist(), 6
+            draw.rectangle((x - reach, y - reach, x + reach, y + reach), fill, PAPER, 2)
         if len(path):
             (x, y), radius = self.project(path[-1:], azimuth)[0][0].tolist(), 4
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=ROBOT[:3])

@@ -1,6 +1,6 @@
 """The motion of the robot in the true world during a control period."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -37,14 +37,9 @@ def move(
     """
     moved = robot.step(state.robot, control, period)
     drive = Drive(robot, state.robot, moved, control, truth, period)
-    for each in truths:
-        drive = drive._replace(after=each.drive(state.truths.get(each.name), drive))
+    drive = move_parts(truths, state.truths, drive)
     stopped, is_collision = truth.check_move(robot, state.robot, drive.after, reach)
-    drive, states, records = drive._replace(after=stopped), dict(state.truths), {}
-    for each in truths:
-        if each.name in states:
-            states[each.name] = each.update(states[each.name], drive)
-            records[each.name] = each.record(states[each.name])
+    states, parts = update_parts(truths, state.truths, drive._replace(after=stopped))
     record = ExplorationRecord(
         state=stopped,
         control=control,
@@ -57,10 +52,28 @@ def move(
         is_faulty=is_faulty,
         members=info.members,
         stop=stop,
-        parts={name: each for name, each in records.items() if each is not None},
+        parts=parts,
         **_error(state, robot.pose(state.robot)),
     )
     return record, states
+
+
+def move_parts(truths: Sequence[PartTruth], states: Mapping[str, Any], drive: Drive) -> Drive:
+    """Return the motion with what is true of the robot's parts, given their states by name."""
+    for each in truths:
+        drive = drive._replace(after=each.drive(states.get(each.name), drive))
+    return drive
+
+
+def update_parts(
+    truths: Sequence[PartTruth], states: Mapping[str, Any], drive: Drive
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the states of the truths of parts after a motion, and their records, by name."""
+    after = {
+        each.name: each.update(states[each.name], drive) for each in truths if each.name in states
+    }
+    records = {each.name: each.record(after[each.name]) for each in truths if each.name in after}
+    return {**states, **after}, {n: each for n, each in records.items() if each is not None}
 
 
 def _error(state: ExplorationState, pose: Pose) -> dict[str, Scalar]:

@@ -9,33 +9,35 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplore import _kinds
-from jaxplore._types import ControlVector, Flag, GridMask, Key, Pose, Scalar, StateVector
+from jaxplore._types import ControlVector, Flag, GridMask, Key, Scalar, StateVector
 from jaxplore.belief.part import Part
-from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.quadrotor import position_upwards
 from jaxplore.maps.datum import Datum
-from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.report.part import PartReport
-from jaxplore.sensing.base import Sensor
-from jaxplore.simulation.exploration.true_world import TrueWorld
+from jaxplore.simulation.exploration.checks import check_goal
+from jaxplore.simulation.exploration.reachability import to_grid
+from jaxplore.simulation.volume.checks import check_free, check_reachable
+from jaxplore.simulation.volume.true_volume import TrueVolume
 
 
 class Site(NamedTuple):
     """Where a robot is simulated.
 
     Args:
-        world: the true map.
+        world: the true map, an `OccupancyGrid`, or in a volume a `VoxelGrid`.
         robot: the true model.
-        perception: what runs on board.
-        start: (3,) pose at the start [m, m, rad].
+        perception: what runs on board, a `Perception` or a `VolumePerception`.
+        start: (3,) pose at the start [m, m, rad]; in a volume (x, y, z, yaw), with z up.
         truths: what is true of the robot's parts, as it was given.
-        reachable: (H, W) cells that the robot's centre can reach.
+        reachable: (H, W) cells that the robot's centre can reach; in a volume (D, H, W) voxels.
         datum: point to which positions are relative.
     """
 
-    world: OccupancyGrid
+    world: Any
     robot: Dynamics
-    perception: Perception
+    perception: Any
     start: np.ndarray
     truths: "tuple[PartTruth, ...]"
     reachable: np.ndarray
@@ -49,6 +51,37 @@ class Site(NamedTuple):
         """
         return next((each for each in self.truths if isinstance(each, kind)), None)
 
+    def check_place(self, name: str, place: np.ndarray, within: float) -> None:
+        """Check that a place is in free space, and within a distance [m] of where the robot gets.
+
+        `place` is a position (x, y), in a volume (x, y, z) [m], and `name` is what it is called.
+
+        Raises:
+            ValueError: it is not, or is of the other number of coordinates.
+        """
+        size = self.reachable.ndim
+        if len(place) != size:
+            told = self.datum.round_to_map(place).tolist()
+            raise ValueError(f"{name} is {told}; accepted: ({', '.join('xyz'[:size])})")
+        if isinstance(self.world, VoxelGrid):
+            check_free(name, place, self.world, self.datum)
+            barred = self.perception.barred_voxels(self.world)
+            solid = ~np.asarray(self.world.is_free)
+            solid = solid if barred is None else solid | np.asarray(barred)
+            radius = float(self.robot.radius)
+            given = self.world, solid, self.reachable, radius, within, self.datum
+            check_reachable(name, place, *given)
+        else:
+            at = jnp.asarray(place, jnp.float32)
+            check_goal(at, self.world, self.robot, self.reachable, within, self.datum, name)
+
+    def to_grid(self, place: np.ndarray) -> np.ndarray:
+        """Return a place [m] in grid coordinates (row, column), in a volume (z, y, x)."""
+        at = jnp.asarray(place, jnp.float32)
+        if isinstance(self.world, VoxelGrid):
+            return np.asarray(self.world.to_grid(at))
+        return np.asarray(to_grid(self.world.frame, at))
+
 
 class Drive(NamedTuple):
     """The motion of a robot during a control period.
@@ -58,7 +91,7 @@ class Drive(NamedTuple):
         before: (nx,) state before it.
         after: (nx,) state after it.
         control: (nu,) control.
-        truth: the true world at its end.
+        truth: the `TrueWorld` at its end, or the `TrueVolume`.
         period: length of the period [s].
     """
 
@@ -66,8 +99,20 @@ class Drive(NamedTuple):
     before: StateVector
     after: StateVector
     control: ControlVector
-    truth: TrueWorld
+    truth: Any
     period: Scalar
+
+    def position(self, state: StateVector) -> Float[Array, " D"]:
+        """Return the position (x, y) of a state, in a volume (x, y, z) with z up [m]."""
+        if isinstance(self.truth, TrueVolume):
+            return position_upwards(state)
+        return self.robot.position(state)
+
+    def velocity(self, state: StateVector) -> Float[Array, " D"]:
+        """Return the velocity in a state, in the frame of the body or of the world [m/s]."""
+        if isinstance(self.truth, TrueVolume):
+            return jnp.stack([self.robot.component(state, name) for name in ("vx", "vy", "vz")])
+        return self.robot.twist(state, self.control)[:2]
 
 
 class Vantage(NamedTuple):
@@ -120,40 +165,48 @@ class PartTruth(eqx.Module):
         """
         return self
 
-    def init_part(self, part: Any, pose: Pose) -> Any:
+    def init_part(self, part: Any, pose: Float[Array, " P"]) -> Any:
         """Return the state of the robot's part before the first scan; None for `Part.init`.
 
         Args:
             part: the robot's part; None without one, here and below.
-            pose: true pose (x, y, yaw) at the start [m, m, rad].
+            pose: true pose (x, y, yaw) at the start [m, m, rad]; in a volume (x, y, z, yaw).
         """
         return None
 
-    def init(self, pose: Pose) -> Any:
+    def init(self, pose: Float[Array, " P"]) -> Any:
         """Return the state at the start; None without any.
 
         Args:
-            pose: true pose (x, y, yaw) [m, m, rad].
+            pose: true pose (x, y, yaw) [m, m, rad]; in a volume (x, y, z, yaw).
         """
         return None
 
     def measure(
-        self, part: Any, own: Any, truth: TrueWorld, sensors: Sequence[Sensor], pose: Pose, key: Key
+        self,
+        part: Any,
+        own: Any,
+        truth: Any,
+        sensors: Any,
+        pose: Float[Array, " P"],
+        key: Key,
     ) -> Any:
         """Return what the instrument of the robot's part says, for `Part.look`; None without one.
 
         Args:
             part: the robot's part.
             own: the state.
-            truth: the true world now.
+            truth: the `TrueWorld` now, or the `TrueVolume`.
             sensors: sensors of the robot.
-            pose: true pose (x, y, yaw) [m, m, rad].
+            pose: true pose (x, y, yaw) [m, m, rad]; in a volume (x, y, z, yaw).
             key: random key of the step.
         """
         return None
 
     def judge(self, own: Any, known: Any, reachable: GridMask, number: Scalar, time: Scalar) -> Any:
         """Return the state by what the robot knows after it has mapped scans.
+
+        It is not called in a volume.
 
         Args:
             own: the state before.
@@ -246,7 +299,7 @@ class PartTruth(eqx.Module):
         """
         return None
 
-    def report(self, part: Any, known: Any, own: Any, grid: OccupancyGrid) -> PartReport | None:
+    def report(self, part: Any, known: Any, own: Any, grid: Any) -> PartReport | None:
         """Return what the run shows, on the host; None for nothing.
 
         Args:

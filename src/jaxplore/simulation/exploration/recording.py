@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from jaxplore.belief.perception import Perception
+from jaxplore.belief.volume import VolumePerception
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.report.exploration.data import (
     ExplorationFrame,
     ExplorationRecord,
@@ -75,10 +77,10 @@ def make_recording(
 
 def part_reports(
     truths: Sequence[PartTruth],
-    perception: Perception,
+    perception: Perception | VolumePerception,
     known: Mapping[str, Any],
     states: Mapping[str, Any],
-    grid: OccupancyGrid,
+    grid: OccupancyGrid | VoxelGrid,
 ) -> dict[str, PartReport]:
     """Return what a run shows of parts, by name.
 

@@ -29,13 +29,11 @@ from jaxplore.belief.gain import Gain
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
-from jaxplore.belief.volume_goal import EASE, INSIDE, resting_place
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.goal import Goal, Motion
 from jaxplore.dynamics.quadrotor import Quadrotor, position_upwards
 from jaxplore.maps.datum import ORIGIN, Datum
-from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
@@ -46,12 +44,16 @@ from jaxplore.robot.volume import VolumeMeasurement, VolumeRobot, VolumeRobotSta
 from jaxplore.sensing.volume import VolumeScan, VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import default_give_up_after
+from jaxplore.simulation.exploration.motion import move_parts, update_parts
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.part_truth import Drive, PartTruth, Site, as_truths
+from jaxplore.simulation.exploration.recording import part_reports
 from jaxplore.simulation.exploration.scenario import TOLD_NOISE
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
-from jaxplore.simulation.volume.observable import find_fitting_places, observable, room_around
+from jaxplore.simulation.volume.checks import check_reachable, show_place
+from jaxplore.simulation.volume.observable import find_fitting_places, observable
 from jaxplore.simulation.volume.people import Cylinders
 from jaxplore.simulation.volume.true_volume import TrueVolume
 
@@ -65,9 +67,9 @@ class VolumeState(NamedTuple):
     """State of the exploration of a volume: what is true, what the robot knows, what is judged.
 
     `own` is what the robot knows. `num_known` observable voxels are known to be free, and `gain` is
-    the last rise of their share. `is_seen` (M,) says which targets have been seen. `motion` is that
-    of the last step; None without a goal. `moving` are the true moving obstacles of the run; None
-    without any.
+    the last rise of their share. `is_seen` (M,) says which targets have been seen. `truths` are the
+    states of the truths of the robot's parts, by name. `motion` is that of the last step; None
+    without a goal. `moving` are the true moving obstacles of the run; None without any.
     """
 
     robot: StateVector
@@ -75,6 +77,7 @@ class VolumeState(NamedTuple):
     num_known: Count
     gain: Gain
     is_seen: Bool[Array, " M"]
+    truths: dict[str, Any]
     motion: Motion | None = None
     moving: MovingObstacles | None = None
 
@@ -119,6 +122,7 @@ class VolumeScenario(Scenario):
             told.
         faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
             is not carried away.
+        truths: what is true of the robot's parts (`jaxplore.parts`).
         datum: point of a file's coordinates to which all positions here are relative; frames and
             recordings are in those of the file.
 
@@ -128,7 +132,7 @@ class VolumeScenario(Scenario):
             (0, 1], a window of the perception that is too small, a target that is not in an
             observable voxel, targets beside a goal, a goal where the robot cannot get from its
             start, a perception made for another goal, a start, a goal or all targets in keep-out
-            boxes.
+            boxes; a truth of a part that the robot does not have, or that cannot be in this volume.
     """
 
     frame_type = VolumeFrame
@@ -151,6 +155,7 @@ class VolumeScenario(Scenario):
     moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
     faults: Faults | None
+    truths: tuple[PartTruth, ...]
     reach: int = eqx.field(static=True)
 
     @_kinds.check_arguments
@@ -172,6 +177,7 @@ class VolumeScenario(Scenario):
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector = TOLD_NOISE,
         faults: Faults | None = None,
+        truths: Sequence[PartTruth] = (),
         datum: Datum = ORIGIN,
     ) -> None:
         if faults is not None and faults.carried_at is not None:
@@ -200,7 +206,7 @@ class VolumeScenario(Scenario):
         is_barred = np.zeros(world.shape, bool) if barred is None else np.asarray(barred)
         if is_barred[tuple(np.floor(begin).astype(int))]:
             raise ValueError(
-                f"start is {_show(place, datum)}, in a keep-out box; accepted: outside of all"
+                f"start is {show_place(place, datum)}, in a keep-out box; accepted: outside of all"
             )
         places = find_fitting_places(solid | is_barred, begin, radius / side)
         views = [(each.max_range / side, *each.elevations) for each in given]
@@ -217,6 +223,9 @@ class VolumeScenario(Scenario):
         perception = _check_perception(perception, given, world, robot, self.goal)
         perception.window_shape(world.shape, side)
         self.perception = perception
+        given_truths = as_truths(truths, perception.parts)
+        site = Site(world, robot, perception, place, given_truths, places, datum)
+        self.truths = tuple(each.bind(site) for each in given_truths)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -248,6 +257,13 @@ class VolumeScenario(Scenario):
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
         is_seen = jnp.zeros(self.targets.shape[0], bool)
+        begin = self._pose(self.start)
+        known_of_parts = {
+            each.name: own
+            for each in self.truths
+            if (own := each.init_part(self.perception.part_named(each.name), begin)) is not None
+        }
+        belief = belief.with_parts(known_of_parts)
         nothing, moving = jnp.zeros(()), self.moving_obstacles
         motion = None if self.goal is None else Motion(nothing, nothing)
         if moving is not None:
@@ -255,7 +271,9 @@ class VolumeScenario(Scenario):
             belief = dataclasses.replace(belief, obstacles=obstacles)
             moving = moving if key is None else moving.at_random_phase(key)
         own = self.onboard.init(belief, is_guarded=self.guard is not None)
-        return VolumeState(self.start, own, known, gain, is_seen, motion, moving), belief
+        truths = {each.name: each.init(begin) for each in self.truths}
+        truths = {name: state for name, state in truths.items() if state is not None}
+        return VolumeState(self.start, own, known, gain, is_seen, truths, motion, moving), belief
 
     @property
     def onboard(self) -> VolumeRobot:
@@ -288,7 +306,9 @@ class VolumeScenario(Scenario):
             num_known=state.num_known + after - before,
             is_seen=self._find_targets(state, moment, measured),
         )
-        gain = state.gain.update(self.coverage(state), self.control_period)
+        errand = own.belief.errand
+        is_sent = None if errand is None else errand.is_due
+        gain = state.gain.update(self.coverage(state), self.control_period, is_sent)
         return state._replace(gain=gain), own.belief
 
     def measure(self, state: VolumeState, moment: Moment, key: Key) -> VolumeMeasurement:
@@ -303,16 +323,24 @@ class VolumeScenario(Scenario):
             self.sensors,
         )
 
-        def take() -> tuple[tuple[VolumeScan, ...], Told | None]:
+        def take() -> tuple[tuple[VolumeScan, ...], Told | None, dict[str, Any]]:
             told = truth.tell(sensors, robot, self.tracking_noise, key)
-            return truth.scans(sensors, robot, key), told
+            given = truth, sensors, self._pose(robot), key
+            looks = {
+                each.name: each.measure(
+                    self.perception.part_named(each.name), state.truths.get(each.name), *given
+                )
+                for each in self.truths
+            }
+            looks = {name: look for name, look in looks.items() if look is not None}
+            return truth.scans(sensors, robot, key), told, looks
 
         is_due = moment.step % self.steps_per_scan == 0
         # What is not due is not read.
         blank = jax.tree.map(
             lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(take)
         )
-        scans, told = when_due(is_due, ~moment.is_blind, lambda *_: take(), blank)
+        scans, told, looks = when_due(is_due, ~moment.is_blind, lambda *_: take(), blank)
         period = self.control_period
         return VolumeMeasurement(
             moment.observed if moment.measured is None else moment.measured,
@@ -326,7 +354,12 @@ class VolumeScenario(Scenario):
             moment.time,
             moment.guard,
             told,
+            looks,
         )
+
+    def _pose(self, state: StateVector) -> Float[Array, "4"]:
+        """Return the pose (x, y, z, yaw) of a state (nx,), with z up [m, m, m, rad]."""
+        return jnp.append(position_upwards(state), self.robot.heading(state))
 
     def _count_known(
         self, belief: VolumeBelief, measured: VolumeMeasurement, sight: VolumeSight
@@ -381,7 +414,10 @@ class VolumeScenario(Scenario):
         moved = self.robot.step(state.robot, control, self.control_period)
         # People move during the step as well, so contact is with where they are at its end.
         truth = self.truth(state, moment.step, moment.time + self.control_period)
-        after, is_collision = truth.check_move(self.robot, state.robot, moved, self.reach)
+        drive = Drive(self.robot, state.robot, moved, control, truth, self.control_period)
+        drive = move_parts(self.truths, state.truths, drive)
+        after, is_collision = truth.check_move(self.robot, state.robot, drive.after, self.reach)
+        truths, parts = update_parts(self.truths, state.truths, drive._replace(after=after))
         record = VolumeRecord(
             state=after,
             control=control,
@@ -393,14 +429,23 @@ class VolumeScenario(Scenario):
             targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None,
             is_untraversable=self._is_barred(after),
             stop=moment.stop,
+            parts=parts,
         )
         if self.goal is not None:
             motion = Motion.between(self.robot, state.robot, after, self.control_period)
             state = state._replace(motion=motion)
-        return state._replace(robot=after), record
+        return state._replace(robot=after, truths=truths), record
 
     def is_unfinished(self, state: VolumeState) -> Flag:
-        """Check whether the exploration is neither finished nor given up."""
+        """Check whether the exploration is neither finished nor given up, and nothing that is true
+        of a part ends it."""
+        is_going_on = self._is_unfinished(state)
+        for each in self.truths:
+            is_over = each.is_over(state.truths.get(each.name))
+            is_going_on = is_going_on if is_over is None else is_going_on & ~is_over
+        return is_going_on
+
+    def _is_unfinished(self, state: VolumeState) -> Flag:
         if self.goal is not None:
             return ~self._is_there(self.goal, state)
         if state.is_seen.size:
@@ -486,11 +531,19 @@ class VolumeScenario(Scenario):
             robot_radius=float(self.robot.radius),
             targets=np.asarray(self.targets),
             goal=None if self.goal is None else np.asarray(self.goal.position),
-            is_at_goal=self.goal is not None and not bool(self.is_unfinished(last)),
+            is_at_goal=self.goal is not None and not bool(self._is_unfinished(last)),
+            parts=part_reports(
+                *(self.truths, self.perception, last.belief.parts, last.truths, last.belief.whole)
+            ),
             boxes=np.zeros((0, 6)) if self.keep_out is None else np.asarray(self.keep_out.boxes),
             given_up_step=run.num_steps if bool(self.is_given_up(run.state.task)) else None,
         )
         return local.move(self.datum.offset)
+
+    @property
+    def metric_groups(self) -> tuple[str, ...]:
+        """Names of the truths of parts, whose metrics are groups of their own."""
+        return tuple(each.name for each in self.truths)
 
     @property
     def keep_out(self) -> Any:
@@ -508,9 +561,7 @@ class VolumeScenario(Scenario):
     def _is_there(self, check: Goal, state: VolumeState) -> Flag:
         """Check whether the robot has come to rest at its goal."""
         assert state.motion is not None
-        heading = self.robot.heading(state.robot)
-        pose = jnp.append(position_upwards(state.robot), heading)
-        there: Flag = check.is_reached(pose, state.motion)
+        there: Flag = check.is_reached(self._pose(state.robot), state.motion)
         return there
 
 
@@ -541,8 +592,8 @@ def _check_targets(
         is_in = ((voxel >= 0) & (voxel < seen.shape)).all()
         if not is_in or not seen[tuple(voxel)]:
             raise ValueError(
-                f"targets[{index}] is {_show(place, datum)}; accepted: a free voxel that a sensor "
-                "sees from where the robot can get"
+                f"targets[{index}] is {show_place(place, datum)}; accepted: a free voxel that a "
+                "sensor sees from where the robot can get"
             )
         outside += not is_barred[tuple(voxel)]
     if len(places) and not outside:
@@ -550,13 +601,6 @@ def _check_targets(
             f"targets are {len(places)}, all in keep-out boxes; accepted: one outside at least"
         )
     return places
-
-
-def _show(place: np.ndarray, datum: Datum) -> str:
-    """Return the coordinates (x, y, z) of a place in the file's, for a message."""
-    # To the millimetre: single precision has no more.
-    rounded = (round(float(each), 3) for each in datum.round_to_map(place[:3]))
-    return f"({', '.join(f'{each:.10g}' for each in rounded)})"
 
 
 def _check_goal(
@@ -573,7 +617,7 @@ def _check_goal(
 
     `places` (D, H, W) are the voxels at whose centres it can get, and `radius` is its own [m].
     """
-    at = _show(np.asarray(check.position), datum)
+    at = show_place(np.asarray(check.position), datum)
     if check.max_unknown is not None:
         raise ValueError(
             f"max_unknown of goal is {float(check.max_unknown):g}; accepted in a volume: none"
@@ -583,30 +627,9 @@ def _check_goal(
     voxel = np.asarray(jnp.floor(world.to_grid(check.position))).astype(int)
     if ((voxel >= 0) & (voxel < world.shape)).all() and is_barred[tuple(voxel)]:
         raise ValueError(f"goal is {at}, in a keep-out box; accepted: outside of all")
-    side = world.resolution
-    # All that is solid to the robot near the goal; off the volume all is.
-    reach = math.ceil((float(check.radius) + radius + EASE) / side) + 3
-    low, high = np.maximum(voxel - reach, 0), np.maximum(voxel + reach + 1, 0)
-    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    solid = ~np.asarray(world.is_free)[box] | is_barred[box]
-    room = room_around(solid) * side if solid.size else np.zeros((1, 1, 1))
-    corner = world.to_world(jnp.asarray(low + 0.5, jnp.float32))
-    field = VolumeField(jnp.asarray(room, jnp.float32), corner, side, jnp.zeros(()))
-    place, fits = resting_place(
-        *(field, field, check.position, check.radius, jnp.asarray(radius, jnp.float32))
-    )
-    # The robot can get to a place between voxels if it can to one of these.
-    low = np.floor(np.asarray(world.to_grid(place)) - 0.5).astype(int)
-    around = places[tuple(slice(max(0, each), max(0, each + 2)) for each in low)]
-    if not (bool(fits) and around.any()):
-        goal = np.asarray(check.position, np.float64) - np.asarray(world.origin, np.float64)
-        centres = (np.argwhere(places)[:, ::-1] + 0.5) * side
-        nearest = float(np.linalg.norm(centres - goal, axis=1).min())
-        raise ValueError(
-            f"goal is {at}, which a robot of radius {radius:g} m cannot reach from its start: "
-            f"{nearest:.2f} m is the nearest it gets; accepted: a goal within "
-            f"{INSIDE * float(check.radius):.3g} m of where it can go"
-        )
+    place = np.asarray(check.position)
+    solid = ~np.asarray(world.is_free) | is_barred
+    check_reachable("goal", place, world, solid, places, radius, float(check.radius), datum)
 
 
 def _check_perception(
@@ -646,7 +669,7 @@ def _start_voxel(
     side, origin = world.resolution, np.asarray(world.origin, np.float64)
     grid = ((start[:3] - origin) / side)[::-1]
     voxel = np.floor(grid).astype(int)
-    where = f"start is {_show(start, datum)}"
+    where = f"start is {show_place(start, datum)}"
     if not ((voxel >= 0) & (voxel < solid.shape)).all():
         ends = origin + np.array(solid.shape[::-1]) * side
         lows, highs = datum.round_to_map(origin), datum.round_to_map(ends)

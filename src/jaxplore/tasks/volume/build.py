@@ -49,6 +49,8 @@ from jaxplore.tasks.robot import (
 from jaxplore.tasks.user_code import import_controller, import_rule
 from jaxplore.tasks.volume.settings import GENERATED, VolumeSettings, make_volume_settings
 
+GUIDED = ("explorer", *INFORMATIVE)
+"""Architectures that follow the cost-to-go, so that a goal or a part can lead them somewhere."""
 _HIGH = 5.6
 """Height of a generated maze, which has two storeys [m]."""
 _LOOKING_UP = 20.0
@@ -63,6 +65,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
     robot = Quadrotor(**arguments(settings.robot, Quadrotor))
     sensors = build_sensors(settings)
     goal = None if settings.goal is None else datum.to_local(settings.goal)
+    equipment = build_parts(settings, Surroundings(datum, radius=float(robot.radius)))
     perception = VolumePerception(
         sensors,
         world.resolution,
@@ -70,7 +73,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         goal=goal,
         goal_heading=None if goal is None else settings.goal_heading,
         goal_radius=settings.goal_radius,
-        parts=build_parts(settings, Surroundings(datum, radius=float(robot.radius))).parts,
+        parts=equipment.parts,
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
     )
@@ -84,6 +87,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         moving_obstacles=_people(settings, world),
         targets=[datum.to_local(each) for each in settings.search] or None,
         faults=build_faults(settings.faults, datum),
+        truths=equipment.truths,
         datum=datum,
         **arguments(settings, VolumeScenario),
         **arguments(settings.rates, VolumeScenario),
@@ -91,7 +95,13 @@ def build_volume(settings: VolumeSettings) -> Experiment:
     scenario = scenario.with_guard(_guard() if settings.guard else None)
     controller = set_parameters(_controller(settings, scenario), settings.parameters)
     controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
-    if goal is not None:
+    sent = [part.name for part in equipment.parts if part.has_errands]
+    if sent and settings.architecture not in GUIDED and not is_own(settings.architecture):
+        raise ValueError(
+            f"setting {sent[0]} is given beside the architecture {settings.architecture}; "
+            f"accepted: with {', '.join(GUIDED)}, which follow the cost-to-go"
+        )
+    if goal is not None or sent:
         controller = GoalApproach(controller, robot)
     return Experiment(
         with_latency(controller, settings, scenario),
@@ -258,7 +268,7 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
     if settings.goal is not None:
         raise ValueError(
             f"architecture is {name!r} beside a goal, and its rule chooses places of its own; "
-            f"accepted: explorer, {', '.join(INFORMATIVE)}"
+            f"accepted: {', '.join(GUIDED)}"
         )
     return volume_target_explorer(
         scenario.robot,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class VolumeScene(Scene):
     """The voxels that the robot has found to be occupied, its trail and its plan, in space."""
 
-    layers = ("voxels", "plan", "trail", "targets", "goal")
+    layers = ("voxels", "plan", "trail", "targets", "goal", "marks")
 
     def __init__(self, server: "viser.ViserServer", recording: VolumeData) -> None:
         super().__init__(server)
@@ -39,6 +39,7 @@ class VolumeScene(Scene):
         self._line("plan", frame.plan, PLAN, 4.0)
         self._draw_targets(frame)
         self._draw_goal()
+        self._draw_marks(frame)
         self._draw_robot(frame)
 
     def clear(self) -> None:
@@ -93,6 +94,21 @@ class VolumeScene(Scene):
             position=tuple(self._recording.goal.tolist()),
             visible=self._is_shown("goal"),
         )
+
+    def _draw_marks(self, frame: VolumeFrame) -> None:
+        """Draw a cube at each place that parts of the robot mark."""
+        side = 1.5 * self._recording.robot_radius
+        for number, (place, colour) in enumerate(self._recording.marks(frame)):
+            name, at = f"marks/{number}", tuple(place.tolist())
+            if name not in self._nodes:
+                self._nodes[name] = self._server.scene.add_box(
+                    f"/{name}",
+                    colour[:3],
+                    (side,) * 3,
+                    position=at,
+                    visible=self._is_shown("marks"),
+                )
+            self._nodes[name].position = at
 
     def _draw_robot(self, frame: VolumeFrame) -> None:
         names = self._recording.state_names
