@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxplore import _kinds
 from jaxplore._types import ControlVector, Flag, GridMask, Key, Scalar, StateVector
@@ -119,16 +120,16 @@ class Vantage(NamedTuple):
     """A robot in the true world, when its scans are in its map.
 
     Args:
-        truth: the true world.
+        truth: the `TrueWorld`, or the `TrueVolume`.
         sensors: sensors of the robot.
-        pose: true pose (x, y, yaw) [m, m, rad].
+        pose: true pose (x, y, yaw) [m, m, rad]; in a volume (x, y, z, yaw).
         parts: parts of the robot.
         known: states of the parts, by name.
     """
 
-    truth: TrueWorld
-    sensors: Sequence[Sensor]
-    pose: Pose
+    truth: Any
+    sensors: Any
+    pose: Float[Array, " P"]
     parts: tuple[Part, ...]
     known: Mapping[str, Any]
 
@@ -226,7 +227,7 @@ class PartTruth(eqx.Module):
         """
         return own
 
-    def unite(self, told: Any, pose: Pose) -> Any:
+    def unite(self, told: Any, pose: Float[Array, " P"]) -> Any:
         """Return the state of all robots of a fleet, before `judge` judges what they know together.
 
         Args:
