@@ -27,10 +27,11 @@ from jaxplore import (
 )
 from jaxplore.belief.car import car_motion
 from jaxplore.dynamics import Goal
-from jaxplore.geometry import Rectangle
+from jaxplore.geometry import Chassis, Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.collision import clearance_reach, disc_clearance
-from jaxplore.parts import Targets
+from jaxplore.parts import Targets, Wheels
+from jaxplore.simulation import PartTruth
 from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
 
 pytestmark = pytest.mark.long
@@ -311,6 +312,37 @@ def test_what_cannot_be_seen_or_reached_is_named(arguments: dict, message: str) 
 def test_targets_that_cannot_be_seen_are_named(places: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         scenario(truths=[Targets(places)])
+
+
+class Bell(PartTruth):
+    """The task is finished when a bell rings."""
+
+    name = "bell"
+    needs_part = False
+    is_judging = True
+    objective = "bell.rung_at"
+
+    def init(self, pose):
+        return jnp.array(False)
+
+    def is_finished(self, own):
+        return own
+
+
+def test_truths_of_parts_end_a_task_together_and_in_place_of_the_map() -> None:
+    plain = scenario(target_coverage=0.5)
+    assert not plain.ends_by_parts
+    assert plain.is_finished_by_parts({}) is None
+    assert plain.objective == "finished_at + 100*collisions"
+    made = scenario(truths=[Wheels(Chassis(0.4, 0.3, 0.1)), Bell(), Targets([(0.5, 0.5)])])
+    # What the task is about comes first, in the order in which it is given.
+    assert made.metric_groups == ("bell", "targets", "wheels")
+    assert made.objective == "bell.rung_at + 100*collisions"
+    for is_rung, is_found in itertools.product((False, True), repeat=2):
+        states = {"bell": jnp.array(is_rung), "targets": jnp.array([is_found])}
+        assert bool(made.is_finished_by_parts(states)) == (is_rung and is_found)
+    # However long nothing new is seen: the state is not read.
+    assert not bool(made.is_given_up(None))
 
 
 def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
