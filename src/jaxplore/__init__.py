@@ -102,6 +102,7 @@ if TYPE_CHECKING:
     from jaxplore.parameters import find_parameter as find_parameter
     from jaxplore.parameters import get_parameters as get_parameters
     from jaxplore.parameters import set_parameters as set_parameters
+    from jaxplore.parts import MovingObstacles as MovingObstacles
     from jaxplore.planning import FieldNumbers as FieldNumbers
     from jaxplore.planning import Flight as Flight
     from jaxplore.planning import Mission as Mission
@@ -123,7 +124,6 @@ if TYPE_CHECKING:
     from jaxplore.simulation import ExplorationScenario as ExplorationScenario
     from jaxplore.simulation import Faults as Faults
     from jaxplore.simulation import Fleet as Fleet
-    from jaxplore.simulation import MovingObstacles as MovingObstacles
     from jaxplore.simulation import PathScenario as PathScenario
     from jaxplore.simulation import Radio as Radio
     from jaxplore.simulation import Run as Run
@@ -207,7 +207,7 @@ _PACKAGES = {
         "three_zones",
     ],
     "parameters": ["find_parameter", "get_parameters", "set_parameters"],
-    "parts": [],
+    "parts": ["MovingObstacles"],
     "planning": [
         "FieldNumbers",
         "Flight",
@@ -227,7 +227,6 @@ _PACKAGES = {
         "ExplorationScenario",
         "Faults",
         "Fleet",
-        "MovingObstacles",
         "PathScenario",
         "Radio",
         "Run",

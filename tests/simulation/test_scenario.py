@@ -310,8 +310,9 @@ def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
 def test_no_sensor_and_no_mover() -> None:
     with pytest.raises(ValueError, match="sensors is empty; accepted: a Sensor, or a list of them"):
         ExplorationScenario(GRID, ROBOT, (), START)
-    assert scenario(moving_obstacles=MovingObstacles.none()).moving_obstacles is None
-    assert scenario().moving_obstacles is None
+    for still in (scenario(), scenario(truths=[MovingObstacles([])])):
+        assert still.perception.tracker is None
+        assert still.init(None)[0].truths == {}
     assert scenario().num_targets == 0
     assert scenario(targets=[(0.5, 0.5), (0.7, 0.5)]).num_targets == 2
 

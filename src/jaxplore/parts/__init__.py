@@ -11,6 +11,7 @@ from jaxplore.parts.battery.robot import Battery as Battery
 from jaxplore.parts.battery.truth import TrueBattery as TrueBattery
 from jaxplore.parts.keep_out.boxes import KeepOutBoxes as KeepOutBoxes
 from jaxplore.parts.keep_out.robot import KeepOut as KeepOut
+from jaxplore.parts.moving.truth import MovingObstacles as MovingObstacles
 from jaxplore.parts.recognition.robot import Look as Look
 from jaxplore.parts.recognition.robot import ObjectClasses as ObjectClasses
 from jaxplore.parts.recognition.robot import Recognition as Recognition

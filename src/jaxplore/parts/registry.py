@@ -10,6 +10,7 @@ from jaxplore.parts.anomalies.settings import ANOMALIES
 from jaxplore.parts.battery.settings import BATTERY
 from jaxplore.parts.capability import Capability, Surroundings
 from jaxplore.parts.keep_out.settings import KEEP_OUT, KEEP_OUT_BOXES
+from jaxplore.parts.moving.settings import PEOPLE, PEOPLE_IN_VOLUME
 from jaxplore.parts.recognition.settings import DETECTOR
 from jaxplore.parts.watch.settings import WATCH
 from jaxplore.parts.wheels.settings import CHASSIS
@@ -17,6 +18,8 @@ from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.exploration.part_truth import PartTruth
 
 CAPABILITIES: tuple[Capability, ...] = (
+    PEOPLE,
+    PEOPLE_IN_VOLUME,
     WATCH,
     ANOMALIES,
     KEEP_OUT,
@@ -29,18 +32,24 @@ CAPABILITIES: tuple[Capability, ...] = (
 
 
 class Equipment(NamedTuple):
-    """What a robot has beside its map, and what is given as true of it."""
+    """What a robot has beside its map, what is given as true of it, and arguments of its
+    `Perception`."""
 
     parts: tuple[Part, ...]
     truths: tuple[PartTruth, ...]
+    perception: dict[str, Any]
 
 
 def with_capabilities[Settings: RunSettings](
     kind: type[Settings], dimensions: int = 2
 ) -> type[Settings]:
-    """Return a class of settings with a section for each capability, none of which is given."""
+    """Return a class of settings with a section for each capability."""
     sections: dict[str, Any] = {
-        each.name: (each.settings | None, Field(default=None, description=each.meaning))
+        each.name: (
+            (each.settings | None, Field(default=None, description=each.meaning))
+            if each.is_optional
+            else (each.settings, Field(default=each.settings(), description=each.meaning))
+        )
         for each in CAPABILITIES
         if each.dimensions == dimensions
     }
@@ -60,6 +69,7 @@ def build_parts(settings: RunSettings, surroundings: Surroundings) -> Equipment:
     return Equipment(
         tuple(each.part for each in built if each.part is not None),
         tuple(each.truth for each in built if each.truth is not None),
+        {name: value for each in built for name, value in each.perception.items()},
     )
 
 
@@ -73,5 +83,5 @@ def _given(settings: RunSettings) -> Iterator[tuple[Capability, Any]]:
     """Yield the capabilities whose section is given, and the section."""
     for each in CAPABILITIES:
         own = getattr(settings, each.name, None)
-        if isinstance(own, each.settings):
+        if type(own) is each.settings:
             yield each, own

@@ -10,10 +10,7 @@ from jaxplore.simulation.environment.environment import Environment as Environme
 from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
 from jaxplore.simulation.environment.environment import StepResult as StepResult
 from jaxplore.simulation.experiment import Experiment as Experiment
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as MovingObstacles
-from jaxplore.simulation.exploration.moving_obstacles import (
-    MovingObstacleState as MovingObstacleState,
-)
+from jaxplore.simulation.exploration.moving_discs import MovingDiscs as MovingDiscs
 from jaxplore.simulation.exploration.part_truth import PartTruth as PartTruth
 from jaxplore.simulation.exploration.scenario import ExplorationScenario as ExplorationScenario
 from jaxplore.simulation.faults import Faults as Faults

@@ -20,7 +20,6 @@ from jaxplore._types import (
     Flag,
     GridMask,
     Key,
-    Pose,
     Position,
     Rows,
     Scalar,
@@ -74,9 +73,15 @@ from jaxplore.simulation.exploration.instruments import Instruments
 from jaxplore.simulation.exploration.judge import Judge, thin
 from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.moving_discs import MovingDiscs
 from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
-from jaxplore.simulation.exploration.part_truth import PartTruth, Site, as_truths
+from jaxplore.simulation.exploration.part_truth import (
+    PartTruth,
+    Site,
+    as_truths,
+    init_truths,
+    what_moves,
+)
 from jaxplore.simulation.exploration.progress import MapSums
 from jaxplore.simulation.exploration.rates import Rates
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
@@ -163,11 +168,10 @@ class ExplorationScenario(Scenario):
         hover_time: time that is simulated after the end [s].
         faults: injected faults; none when absent.
         targets: (M, 2) positions of the targets to find [m]; none when absent.
-        moving_obstacles: true moving obstacles; none when absent. The robot
-            finds them in the scans (`ObstacleTracker`). Their start is drawn from the run's key.
         tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
-            told of the obstacles in sight. When absent it has a tracker instead, but on a known
-            ground, whose hills return beams like what moves, it is told with (0.05, 0.1).
+            told of the moving obstacles in sight, see `jaxplore.MovingObstacles`. When absent it
+            finds them in its scans (`ObstacleTracker`), but on a known ground, whose hills return
+            beams like what moves, it is told with (0.05, 0.1).
         truths: what is true of the robot's parts (`jaxplore.parts`).
         localisation: how the robot finds its pose, from an odometry with errors and its scans; it
             knows its pose when absent. Coverage is then that of the map that its scans give at
@@ -208,7 +212,6 @@ class ExplorationScenario(Scenario):
     hover_steps: Count
     faults: Faults | None
     targets: Float[Array, "M 2"]
-    moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
     truths: tuple[PartTruth, ...]
     localisation: Localisation | None
@@ -241,7 +244,6 @@ class ExplorationScenario(Scenario):
         hover_time: float = 0.0,
         faults: Faults | None = None,
         targets: Rows | None = None,
-        moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector | None = None,
         truths: Sequence[PartTruth] = (),
         localisation: Localisation | None = None,
@@ -256,8 +258,6 @@ class ExplorationScenario(Scenario):
         self.robot, self.sensors = robot, all_sensors
         self.localisation = localisation
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
-        is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
-        self.moving_obstacles = None if is_still else moving_obstacles
         told = TOLD_NOISE if tracking_noise is None else tracking_noise
         self.tracking_noise = _checks.vector("tracking_noise", told, 2, at_least=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
@@ -277,9 +277,6 @@ class ExplorationScenario(Scenario):
             self.max_unknown,
             is_localising=localisation is not None,
         )
-        is_told = tracking_noise is not None or ground is not None
-        if is_told or (self.moving_obstacles is not None and perception.tracker is None):
-            perception = with_field(perception, "tracker", None if is_told else ObstacleTracker())
         known = checks.check_prior(prior, world, datum)
         if localisation is not None:
             localisation.localiser.check_map(prior)
@@ -297,6 +294,9 @@ class ExplorationScenario(Scenario):
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
         site = Site(world, robot, perception, pose, self.targets, np.asarray(reachable), datum)
         self.truths = tuple(each.bind(site) for each in as_truths(truths, perception.parts))
+        is_told = tracking_noise is not None or ground is not None
+        if is_told or (self._has_moving() and perception.tracker is None):
+            perception = with_field(perception, "tracker", None if is_told else ObstacleTracker())
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -398,7 +398,8 @@ class ExplorationScenario(Scenario):
     @property
     def metric_groups(self) -> tuple[str, ...]:
         """Names of the truths of parts, whose metrics are groups of their own."""
-        return tuple(each.name for each in self.truths)
+        shown = (each for each in self.truths if type(each).report is not PartTruth.report)
+        return tuple(each.name for each in shown)
 
     @property
     def num_reachable(self) -> Scalar:
@@ -413,9 +414,7 @@ class ExplorationScenario(Scenario):
             own = each.init_part(self.perception.part_named(each.name), begin)
             if own is not None:
                 belief = belief.with_parts({each.name: own})
-        moving = self.moving_obstacles
-        if moving is not None and key is not None:
-            moving = moving.at_random_phase(key)
+        truths = init_truths(self.truths, begin, key)
         reachable, number = self.map_arrays.reachable, self.num_targets
         place, odometer, pose = None, None, self.robot.pose(self.start)
         if self.localisation is not None:
@@ -427,12 +426,12 @@ class ExplorationScenario(Scenario):
             belief,
             reachable,
             number,
-            moving,
+            what_moves(self.truths, truths, jnp.zeros(())),
             self.sensors,
             pose=pose,
             is_guarded=self.guard is not None,
             is_on_hills=self.perception.ground is not None,
-            truths=self._init_truths(begin),
+            truths=truths,
             place=place,
             odometer=odometer,
         )._replace(
@@ -441,10 +440,14 @@ class ExplorationScenario(Scenario):
         )
         return state, state.belief
 
-    def _init_truths(self, pose: Pose) -> dict[str, Any]:
-        """Return the states of the truths of parts at the start."""
-        states = {each.name: each.init(pose) for each in self.truths}
-        return {name: own for name, own in states.items() if own is not None}
+    def _has_moving(self) -> bool:
+        """Return whether anything moves in the world beside the robot."""
+
+        def begin() -> MovingDiscs | None:
+            begun = init_truths(self.truths, self.robot.pose(self.start), None)
+            return what_moves(self.truths, begun, jnp.zeros(()))
+
+        return eqx.filter_eval_shape(begin) is not None
 
     def measure_state(self, state: ExplorationState) -> StateVector:
         """Return the state (nx,) that the robot takes to be its own; see `Localisation`."""
@@ -779,9 +782,10 @@ class ExplorationScenario(Scenario):
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""
-        return self.world_at(state.moving_obstacles, moment)
+        moving = what_moves(self.truths, state.truths, moment.time)
+        return self.world_at(moving, moment)
 
-    def world_at(self, moving: MovingObstacles | None, moment: Moment) -> TrueWorld:
+    def world_at(self, moving: MovingDiscs | None, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with given moving obstacles; see `true_world`."""
         # Walls follow the number of the step, because `advance` asks for a later time: all parts of
         # a step then see the same walls.
@@ -790,4 +794,4 @@ class ExplorationScenario(Scenario):
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
         is_told = self.perception.tracker is None
         arrays = self.map_arrays
-        return TrueWorld(grid, arrays.ground, moving, moment.time, is_told, arrays.traversable)
+        return TrueWorld(grid, arrays.ground, moving, is_told, arrays.traversable)

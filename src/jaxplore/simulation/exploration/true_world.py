@@ -19,32 +19,27 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.mount import LidarMount, ScanMotion, project_scan
-from jaxplore.simulation.exploration.moving_obstacles import (
-    START_OF_MOVING,
-    MovingDiscs,
-    MovingObstacles,
-)
+from jaxplore.simulation.exploration.moving_discs import START_OF_MOVING, MovingDiscs
 
 
 class TrueWorld(eqx.Module):
-    """The true world at a moment, a time since the start [s].
+    """The true world at a moment.
 
-    `grid` has the walls that have appeared. `ground` is None if it is level, `moving` without
-    moving obstacles. `is_told` says whether scans tell which beams ended at moving obstacles.
+    `grid` has the walls that have appeared. `ground` is None if it is level, `moving` if nothing
+    moves. `is_told` says whether scans tell which beams ended at moving obstacles.
     `traversable` (H, W) are the cells that the robot may enter; None if it may enter all.
     """
 
     grid: OccupancyGrid
     ground: Ground | None
-    moving: MovingObstacles | MovingDiscs | None
-    time: Scalar
+    moving: MovingDiscs | None
     is_told: bool = eqx.field(static=True, default=True)
     traversable: GridMask | None = None
 
     @property
     def discs(self) -> Float[Array, "M 3"] | None:
         """(x, y, radius) of each moving obstacle [m]; None without any."""
-        return None if self.moving is None else self.moving.discs(self.time)
+        return None if self.moving is None else self.moving.discs
 
     def scans(
         self, sensors: Sequence[Sensor], pose: Pose, key: Key, motion: ScanMotion | None = None
@@ -77,8 +72,8 @@ class TrueWorld(eqx.Module):
         known = jnp.where(jnp.isfinite(known).all(), known, nothing)
         times, movers = mount.times(sensor.num_beams, duration), None
         if self.moving is not None:
-            now, radius = self.moving.at(self.time), self.moving.radius
-            places = now.positions[:, None] + times[:, None] * now.velocities[:, None]
+            now, velocities, radius = self.moving
+            places = now[:, None] + times[:, None] * velocities[:, None]
             radii = jnp.broadcast_to(radius[:, None, None], (*places.shape[:2], 1))
             movers = jnp.concatenate([places, radii], axis=-1)
         starts = jax.vmap(compose, (None, 0))(pose, mount.poses(true, times))
@@ -102,7 +97,7 @@ class TrueWorld(eqx.Module):
         """
         if self.moving is None:
             return None
-        now = self.moving.at(self.time)
+        now = self.moving
         position_std, velocity_std = noise
         keys = jax.random.split(jax.random.fold_in(key, START_OF_MOVING), 2)
         in_sight = [sensor.sees(self.grid, pose, now.positions, self.ground) for sensor in sensors]
@@ -122,7 +117,7 @@ class TrueWorld(eqx.Module):
         room = self._room(~self.grid.is_free, robot, state, reach)
         if self.moving is None:
             return room
-        there, radii = self.moving.at(self.time).positions, self.moving.radius
+        there, radii = self.moving.positions, self.moving.radius
         position, heading = robot.position(state), robot.heading(state)
         gap = discs_clearance(there, radii, position, heading, robot.footprint)
         return jnp.minimum(room, gap)

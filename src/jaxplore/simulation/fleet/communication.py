@@ -15,7 +15,7 @@ from jaxplore.belief.obstacles import Obstacles, Plans
 from jaxplore.control.base import Info
 from jaxplore.control.fleet_share import Share
 from jaxplore.dynamics.formation import Formation
-from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
+from jaxplore.simulation.exploration.moving_discs import MovingDiscs
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.contact import predict_positions
