@@ -12,6 +12,7 @@ import json
 import time
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.setting import available_maps
@@ -107,7 +108,8 @@ def distance_from_people(experiment: Any, state: np.ndarray, at: float) -> float
     """
     scenario = experiment.scenario
     drawn = init_truths(scenario.truths, scenario.robot.pose(scenario.start), experiment.key)
-    people = what_moves(scenario.truths, drawn, np.float32(at))
+    people = what_moves(scenario.truths, drawn, jnp.float32(at))
+    assert people is not None
     x, y, radius = np.asarray(people.discs).T
     away = np.hypot(x - state[0], y - state[1]) - radius
     return float(away.min()) - float(scenario.robot.footprint.radius)

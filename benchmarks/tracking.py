@@ -194,7 +194,8 @@ def measure(speeds: Sequence[float], seeds: int, num_scans: int = 600) -> list[d
             people = MovingObstacles(walking_people(grid, 8, speed=speed, seed=seed))
             robot = MovingObstacles(walking_people(grid, 1, speed=0.8, seed=1000 + seed))
             key = jax.random.key(seed)
-            args = (people.at_random_phase(key), robot, Lidar(), ObstacleTracker(), key, num_scans)
+            begun = people.with_phase(people.draw(people.phase, key))
+            args = (begun, robot, Lidar(), ObstacleTracker(), key, num_scans)
             seen = jax.tree.map(np.asarray, watch(grid, *args))
             mot = clear_mot(
                 *(seen.positions, seen.is_seen),

@@ -30,7 +30,7 @@ def room() -> OccupancyGrid:
 
 @jax.jit
 def scan_world(lidar, pose, motion, moving=None):
-    truth = TrueWorld(room(), None, moving, is_told=False)
+    truth = TrueWorld(room(), None, lambda: moving, is_told=False)
     return truth.scans((lidar,), pose, KEY, motion)[0]
 
 

@@ -187,10 +187,6 @@ def scenario(**arguments) -> ExplorationScenario:
             {"prior": OccupancyGrid(np.zeros((30, 31)), 0.1)},
             r"prior has shape \(30, 31\); accepted: the world's, \(30, 30\)",
         ),
-        (
-            {"faults": Faults(walls=np.zeros((31, 30), bool))},
-            r"walls has shape \(31, 30\); accepted: the world's, \(30, 30\)",
-        ),
     ],
 )
 def test_a_bad_end_or_prior_is_named(arguments: dict, message: str) -> None:
@@ -299,6 +295,15 @@ def test_what_cannot_be_seen_or_reached_is_named(arguments: dict, message: str) 
     with pytest.raises(ValueError, match=message) as error:
         scenario(**arguments)
     assert "\n" not in str(error.value)
+
+
+def test_disturbances_that_cannot_happen_are_named() -> None:
+    walls = Faults(walls=np.zeros((31, 30), bool))
+    message = r"walls has shape \(31, 30\); accepted: the world's, \(30, 30\)"
+    with pytest.raises(ValueError, match=message):
+        scenario().with_disturbances([walls])
+    with pytest.raises(ValueError, match=r"disturbances\[1\] is a second 'faults'; accepted: one"):
+        scenario().with_disturbances([Faults(), Faults()])
 
 
 def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:

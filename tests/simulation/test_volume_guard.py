@@ -26,7 +26,7 @@ PEOPLE = MovingObstacles([MovingObstacle(((5.4, 1.0), (5.4, 2.4)), 0.4, 0.25)])
 
 @pytest.fixture(scope="module")
 def run():
-    given = volume(truths=[PEOPLE], faults=jx.Faults(scan_dropout=DROPOUT))
+    given = volume(truths=[PEOPLE]).with_disturbances([jx.Faults(scan_dropout=DROPOUT)])
     guarded = given.with_guard(MotionGuard(check=StopCheck(0.0, evades=True)))
     flying = jx.volume_explorer(QUADROTOR, horizon=20, num_samples=128, has_moving_obstacles=True)
     return record_run(flying, guarded, 160, key=jax.random.key(0), num_trajectories=0)

@@ -13,6 +13,7 @@ from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.world import World
 from jaxplore.settings.robot import RobotSettings
 from jaxplore.settings.sections import Section
+from jaxplore.simulation.disturbances import Disturbance
 from jaxplore.simulation.exploration.part_truth import PartTruth
 
 
@@ -48,11 +49,13 @@ class Built(NamedTuple):
         part: what runs on board; None for what is only true.
         truth: what is true of it in a simulation; None for the default of the part, if it has one.
         perception: further arguments of the `Perception` in the plane.
+        disturbance: what makes the simulated robot differ from its model.
     """
 
     part: Part | None = None
     truth: PartTruth | None = None
     perception: Mapping[str, Any] = MappingProxyType({})
+    disturbance: Disturbance | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -66,7 +69,8 @@ class Capability:
         is_optional: whether a run without the section does not have the capability. Otherwise the
             section has its defaults there.
         build: function that builds what checked settings stand for.
-        dimensions: 2 for a capability of robots on a plane, 3 for one in a volume.
+        dimensions: 2 for a capability of robots on a plane, 3 for one in a volume, 1 for one along
+            a path; None for all.
         control: function that returns what presets of controllers are told of it, by the name of
             their argument; nothing when absent.
         sends_robot: whether its part sends the robot to a place.
@@ -79,7 +83,7 @@ class Capability:
     meaning: str
     settings: type[Section]
     build: Callable[[Any, Surroundings], Built]
-    dimensions: int = 2
+    dimensions: int | None = 2
     control: Callable[[Any, Surroundings], Mapping[str, Any]] = lambda *_: {}
     sends_robot: bool = False
     is_optional: bool = True

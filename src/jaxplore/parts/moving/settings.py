@@ -81,11 +81,9 @@ def are_expected(given: PeopleSettings, around: Surroundings) -> bool:
 
 def build_people(given: PeopleSettings, around: Surroundings) -> Built:
     """Build the people, and the tracker by which the robot finds them."""
-    people = place_walkers(given, around)
-    if not are_expected(given, around):
-        return Built(truth=people)
     tracker = ObstacleTracker(**arguments(given, ObstacleTracker))
-    return Built(truth=people, perception={"tracker": tracker})
+    found = {"tracker": tracker} if are_expected(given, around) else {}
+    return Built(truth=place_walkers(given, around), perception=found)
 
 
 def mind_people(given: PeopleSettings, around: Surroundings) -> Mapping[str, Any]:

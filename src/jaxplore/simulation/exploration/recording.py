@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxplore.belief.perception import Perception
@@ -44,7 +45,7 @@ def make_recording(
     `localisation` is where the robot took itself to be, or each one; None if they knew it.
     """
     arrays, field = one.map_arrays.crop(), after.belief.information
-    moving = what_moves(one.truths, after.truths, np.float32(0.0))
+    moving = what_moves(one.truths, after.truths, jnp.zeros(()))
     world, ground, coverage = arrays.world, arrays.ground, one.target_coverage
     return ExplorationRecording(
         **run.common(one.period),

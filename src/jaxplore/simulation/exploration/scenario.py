@@ -8,6 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
@@ -56,9 +57,9 @@ from jaxplore.robot.robot import Robot
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.lidar import is_any_turning
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.disturbances import Place
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
-from jaxplore.simulation.exploration.carrying import carry, check_carrying, landing
 from jaxplore.simulation.exploration.finish import (
     NEVER,
     TARGETS,
@@ -88,7 +89,6 @@ from jaxplore.simulation.exploration.reachability import drivable_cells, with_cl
 from jaxplore.simulation.exploration.recording import make_recording, part_reports
 from jaxplore.simulation.exploration.state import ExplorationState, Sensed, initial_state
 from jaxplore.simulation.exploration.true_world import TrueWorld
-from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.robot_fields import robot_fields
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
@@ -166,7 +166,6 @@ class ExplorationScenario(Scenario):
                 absent 0.05, or 1 for a goal apart, which then needs no explored map.
         altitude: z of the start, for robots that have one [m].
         hover_time: time that is simulated after the end [s].
-        faults: injected faults; none when absent.
         targets: (M, 2) positions of the targets to find [m]; none when absent.
         tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
             told of the moving obstacles in sight, see `jaxplore.MovingObstacles`. When absent it
@@ -184,7 +183,7 @@ class ExplorationScenario(Scenario):
             goal; a start that is off the map, in a wall, in unknown space, or so close to either
             that the robot touches it; a rate that is not positive, above the control rate or no
             whole fraction of it; a start or all targets in keep-out areas; a target coverage
-            outside (0, 1]; a prior or walls of another shape; a goal off the map, in a wall, or
+            outside (0, 1]; a prior of another shape; a goal off the map, in a wall, or
             where the robot cannot get from its start; a target off the map or in a wall; a truth of
             a part that the robot does not have, or that cannot be in this world.
     """
@@ -210,7 +209,6 @@ class ExplorationScenario(Scenario):
     goal_speed: Scalar
     max_unknown: Scalar
     hover_steps: Count
-    faults: Faults | None
     targets: Float[Array, "M 2"]
     tracking_noise: Float[Array, "2"]
     truths: tuple[PartTruth, ...]
@@ -242,7 +240,6 @@ class ExplorationScenario(Scenario):
         max_unknown: ArrayLike | None = None,
         altitude: float = 0.0,
         hover_time: float = 0.0,
-        faults: Faults | None = None,
         targets: Rows | None = None,
         tracking_noise: Vector | None = None,
         truths: Sequence[PartTruth] = (),
@@ -280,7 +277,6 @@ class ExplorationScenario(Scenario):
         known = checks.check_prior(prior, world, datum)
         if localisation is not None:
             localisation.localiser.check_map(prior)
-        self.faults = checks.check_faults(faults, world)
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
@@ -289,7 +285,6 @@ class ExplorationScenario(Scenario):
         if closed is not None:
             passable = passable.with_solid(closed)
         reachable = on_device(drivable_cells(passable, pose, robot, perception, datum))
-        check_carrying(self.faults, world, reachable, datum)
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
         site = Site(world, robot, perception, pose, self.targets, np.asarray(reachable), datum)
@@ -341,6 +336,11 @@ class ExplorationScenario(Scenario):
     def reachable(self) -> GridMask:
         """Mask (H, W) of the cells that the robot's centre can reach."""
         return self.map_arrays.crop().reachable
+
+    @property
+    def place(self) -> Place:
+        """What disturbances are checked by."""
+        return Place(self.robot, self.datum, self.map_arrays.world, self.reachable)
 
     @property
     def ground(self) -> Ground | None:
@@ -435,7 +435,7 @@ class ExplorationScenario(Scenario):
             place=place,
             odometer=odometer,
         )._replace(
-            landing=landing(self.faults, reachable, belief.grid.frame, key),
+            landing=self.disturbances.landing(reachable, belief.grid.frame, key),
             control=self.robot.default_control if is_any_turning(self.sensors) else None,
         )
         return state, state.belief
@@ -638,11 +638,13 @@ class ExplorationScenario(Scenario):
         `has_room` says whether it can be put down where the fault carries it; None if it can.
         """
         state = self.follow_odometry(state, record.state, moment.step)
-        if self.faults is not None and state.landing is not None:
+        if state.landing is not None:
             # After the odometry has measured the step: it does not notice.
-            is_carried = self.faults.is_carried(moment.time, self.control_period)
+            is_carried = self.disturbances.is_carried(moment.time, self.control_period)
             is_carried = is_carried if has_room is None else is_carried & has_room
-            record = carry(record, self.robot, self.start, state.landing, is_carried)
+            there = self.robot.with_pose(self.start, state.landing)
+            after = jnp.where(is_carried, there, record.state)
+            record = record._replace(state=after, is_carried=is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
         state = state.after_step(record.state, control)._replace(motion=motion, truths=truths)
         return state, record
@@ -782,16 +784,15 @@ class ExplorationScenario(Scenario):
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""
-        moving = what_moves(self.truths, state.truths, moment.time)
+        moving = Partial(what_moves, self.truths, state.truths, moment.time)
         return self.world_at(moving, moment)
 
-    def world_at(self, moving: MovingDiscs | None, moment: Moment) -> TrueWorld:
-        """Return the true world at a moment, with given moving obstacles; see `true_world`."""
+    def world_at(self, find_moving: Callable[[], MovingDiscs | None], moment: Moment) -> TrueWorld:
+        """Return the true world at a moment, with what is found to move; see `true_world`."""
         # Walls follow the number of the step, because `advance` asks for a later time: all parts of
         # a step then see the same walls.
-        grid = self.map_arrays.world
-        if self.faults is not None:
-            grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
+        elapsed = self.control_period * moment.step.astype(jnp.float32)
+        grid = self.disturbances.world(self.map_arrays.world, elapsed)
         is_told = self.perception.tracker is None
         arrays = self.map_arrays
-        return TrueWorld(grid, arrays.ground, moving, is_told, arrays.traversable)
+        return TrueWorld(grid, arrays.ground, find_moving, is_told, arrays.traversable)

@@ -149,7 +149,7 @@ class Talk(NamedTuple):
 
         def find_seen(one: ExplorationScenario, robot: StateVector) -> Bool[Array, " N"]:
             # What moves hides no robot from the radio.
-            truth, pose = one.world_at(None, moment), one.robot.pose(robot)
+            truth, pose = one.world_at(lambda: None, moment), one.robot.pose(robot)
             views = [
                 sensor.sees(truth.grid, pose, positions, truth.ground) for sensor in one.sensors
             ]

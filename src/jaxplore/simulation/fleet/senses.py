@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
+from jax.tree_util import Partial
 from jaxtyping import Array, Int
 
 from jaxplore._equal_objects import Alike
@@ -57,7 +58,8 @@ class TeamSenses(NamedTuple):
         ):
             robots = jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs)
             moving = MovingDiscs.join([what_moves(one.truths, each.truths, own.time), robots])
-            scanned.append(one.sense(each, one.world_at(moving, own), own, key, is_told=False))
+            truth = one.world_at(Partial(MovingDiscs.join, (moving,)), own)
+            scanned.append(one.sense(each, truth, own, key, is_told=False))
             around.append(moving)
         rates = scenarios[0].rates
         states = [each.state for each in scanned]
@@ -116,7 +118,8 @@ class TeamSenses(NamedTuple):
             place: Pose | None,
             key: Key,
         ) -> Obstacles:
-            truth, pose = one.world_at(moving, moment), one.robot.pose(robot)
+            truth = one.world_at(Partial(MovingDiscs.join, (moving,)), moment)
+            pose = one.robot.pose(robot)
 
             def update(before: Obstacles) -> Obstacles:
                 told = truth.tell(one.sensors, pose, one.tracking_noise, key)

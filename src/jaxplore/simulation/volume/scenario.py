@@ -51,10 +51,10 @@ from jaxplore.robot.robot import FITTING, is_mapped_after, tell, unfit_after
 from jaxplore.robot.volume_points import num_volume_points, volume_points
 from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.disturbances import Place
 from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.exploration.part_truth import PartTruth, as_truths, init_truths, what_moves
 from jaxplore.simulation.exploration.scenario import TOLD_NOISE
-from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
 from jaxplore.simulation.volume.observable import find_fitting_places, observable
@@ -124,8 +124,6 @@ class VolumeScenario(Scenario):
             the map keeps nothing of them.
         tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
             told.
-        faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
-            is not carried away.
         datum: point of a file's coordinates to which all positions here are relative; frames and
             recordings are in those of the file.
 
@@ -157,7 +155,6 @@ class VolumeScenario(Scenario):
     goal_check: GoalCheck | None
     truths: tuple[PartTruth, ...]
     tracking_noise: Float[Array, "2"]
-    faults: Faults | None
     reach: int = eqx.field(static=True)
 
     @_kinds.check_arguments
@@ -182,15 +179,8 @@ class VolumeScenario(Scenario):
         goal_speed: ArrayLike = GOAL_SPEED,
         truths: Sequence[PartTruth] = (),
         tracking_noise: Vector = TOLD_NOISE,
-        faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
-        if faults is not None and faults.carried_at is not None:
-            raise ValueError("faults has carried_at in a volume; accepted: faults without it")
-        if faults is not None and faults.walls is not None and faults.walls.shape != world.shape:
-            raise ValueError(
-                f"walls has shape {faults.walls.shape}; accepted: the world's, {world.shape}"
-            )
         self.truths = as_truths(truths, ())
         self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
         self.placed = HostOnly(datum)
@@ -200,7 +190,7 @@ class VolumeScenario(Scenario):
             _kinds.instance("sensors", each, VolumeSensor)
         if several and not given:
             raise ValueError("sensors is empty; accepted: one sensor or more")
-        self.world, self.robot, self.sensors, self.faults = world, robot, given, faults
+        self.world, self.robot, self.sensors = world, robot, given
         place = np.asarray(_checks.vector("start", start, 4), np.float64)
         radius = float(robot.radius)
         solid = ~np.asarray(world.is_free)
@@ -457,9 +447,13 @@ class VolumeScenario(Scenario):
 
     def world_at(self, step: Count) -> VoxelGrid:
         """Return the true world in a step, with the walls that have appeared."""
-        if self.faults is None:
-            return self.world
-        return self.faults.world(self.world, self.control_period * step.astype(jnp.float32))
+        elapsed = self.control_period * step.astype(jnp.float32)
+        return self.disturbances.world(self.world, elapsed)
+
+    @property
+    def place(self) -> Place:
+        """What disturbances are checked by."""
+        return Place(self.robot, self.datum, self.world)
 
     def clearance(self, state: StateVector, world: VoxelGrid | None = None) -> Scalar:
         """Return the distance from the robot's edge to the nearest solid voxel [m], up to a reach.

@@ -28,11 +28,9 @@ from jaxplore.tasks.exploration.world import (
     surroundings,
 )
 from jaxplore.tasks.robot import (
-    build_faults,
     build_robot,
     build_sensor_model,
     build_sensors,
-    build_variation,
     with_adaptive_horizon,
     with_latency,
 )
@@ -76,7 +74,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
     equipment = build_parts(settings, around)
     if not world.is_placed:
         parts = tuple(part.unplaced() for part in equipment.parts)
-        equipment = Equipment(parts, (), equipment.perception)
+        equipment = Equipment(parts, (), equipment.perception, ())
     perception = _perception(settings, robot, world, sensors, equipment)
     ground = world.ground
     scenario = ExplorationScenario(
@@ -89,7 +87,6 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         goal=None if world.goal is None else world.goal[:2],
         altitude=settings.altitude,
         targets=world.targets or None,
-        faults=build_faults(settings.faults, world.datum),
         localisation=build_localisation(
             settings, sensors[0], world.grid.resolution, is_map_known=world.prior is not None
         ),
@@ -100,7 +97,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
             "max_unknown": _choose_max_unknown(settings),
         },
         **arguments(settings.rates, ExplorationScenario),
-    ).with_variation(build_variation(settings.variation))
+    ).with_disturbances(equipment.disturbances)
     # A quadrotor's camera does not show where people come from: with the limit of speeds it lost
     # half of its way, and touched as many of them per metre.
     is_flying = "z" in robot.state_names

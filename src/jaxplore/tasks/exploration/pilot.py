@@ -36,7 +36,7 @@ from jaxplore.tasks.user_code import import_rule
 
 NO_PART = (
     *("map", "is_map_known", "world", "start", "goal", "office", "terrain", "camera"),
-    *("altitude", "faults", "variation", "latency", "guard"),
+    *("altitude", "latency", "guard"),
     *(each.name for each in CAPABILITIES if not each.is_on_board),
 )
 """Settings of a simulated world, and of parts that a pilot does not have or has of its own."""

@@ -36,9 +36,7 @@ from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.volume.observable import room_around
 from jaxplore.simulation.volume.scenario import VolumeScenario
 from jaxplore.tasks.robot import (
-    build_faults,
     build_sensor_model,
-    build_variation,
     with_adaptive_horizon,
     with_latency,
 )
@@ -80,11 +78,10 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         goal=goal,
         truths=equipment.truths,
         targets=[datum.to_local(each) for each in settings.search] or None,
-        faults=build_faults(settings.faults, datum),
         datum=datum,
         **arguments(settings, VolumeScenario),
         **arguments(settings.rates, VolumeScenario),
-    ).with_variation(build_variation(settings.variation))
+    ).with_disturbances(equipment.disturbances)
     scenario = scenario.with_guard(_guard() if settings.guard else None)
     controller = set_parameters(_controller(settings, scenario, around), settings.parameters)
     controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
