@@ -43,13 +43,19 @@ from jaxplore.robot.robot import Told
 from jaxplore.robot.volume import VolumeMeasurement, VolumeRobot, VolumeRobotState, VolumeSight
 from jaxplore.sensing.volume import VolumeScan, VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.disturbances import Place
 from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.exploration.motion import move_parts, update_parts
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
-from jaxplore.simulation.exploration.part_truth import Drive, PartTruth, Site, as_truths
+from jaxplore.simulation.exploration.part_truth import (
+    Drive,
+    PartTruth,
+    Site,
+    as_truths,
+    init_truths,
+    what_moves,
+)
 from jaxplore.simulation.exploration.recording import part_reports
 from jaxplore.simulation.exploration.scenario import TOLD_NOISE
-from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
 from jaxplore.simulation.volume.checks import check_reachable, show_place
@@ -68,8 +74,8 @@ class VolumeState(NamedTuple):
 
     `own` is what the robot knows. `num_known` observable voxels are known to be free, and `gain` is
     the last rise of their share. `is_seen` (M,) says which targets have been seen. `truths` are the
-    states of the truths of the robot's parts, by name. `motion` is that of the last step; None
-    without a goal. `moving` are the true moving obstacles of the run; None without any.
+    states of what is true beside the map, by name. `motion` is that of the last step; None without
+    a goal.
     """
 
     robot: StateVector
@@ -79,7 +85,6 @@ class VolumeState(NamedTuple):
     is_seen: Bool[Array, " M"]
     truths: dict[str, Any]
     motion: Motion | None = None
-    moving: MovingObstacles | None = None
 
     @property
     def belief(self) -> VolumeBelief:
@@ -115,14 +120,12 @@ class VolumeScenario(Scenario):
             back at 1 m/s.
         targets: (M, 3) positions (x, y, z) of targets to find, with z up [m]; none when absent.
         goal: goal, or its position (x, y, z) with z up [m]; none when absent.
-        moving_obstacles: true moving obstacles, upright cylinders from the lower face of the volume
-            to 1.8 m above it; none when absent. The robot is told of those in sight, and the map
-            keeps nothing of them. Their start is drawn from the run's key.
+        truths: what is true of the robot's parts (`jaxplore.parts`), or of the world beside the
+            map: `jaxplore.MovingObstacles`, here upright cylinders from the lower face of the
+            volume to 1.8 m above it. The robot is told of those in sight, and the map keeps nothing
+            of them.
         tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
             told.
-        faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
-            is not carried away.
-        truths: what is true of the robot's parts (`jaxplore.parts`).
         datum: point of a file's coordinates to which all positions here are relative; frames and
             recordings are in those of the file.
 
@@ -152,10 +155,8 @@ class VolumeScenario(Scenario):
     num_observable: Scalar
     targets: Float[Array, "M 3"]
     goal: Goal | None
-    moving_obstacles: MovingObstacles | None
-    tracking_noise: Float[Array, "2"]
-    faults: Faults | None
     truths: tuple[PartTruth, ...]
+    tracking_noise: Float[Array, "2"]
     reach: int = eqx.field(static=True)
 
     @_kinds.check_arguments
@@ -174,20 +175,11 @@ class VolumeScenario(Scenario):
         give_up_after: ArrayLike | None = None,
         targets: Rows | None = None,
         goal: Vector | Goal | None = None,
-        moving_obstacles: MovingObstacles | None = None,
-        tracking_noise: Vector = TOLD_NOISE,
-        faults: Faults | None = None,
         truths: Sequence[PartTruth] = (),
+        tracking_noise: Vector = TOLD_NOISE,
         datum: Datum = ORIGIN,
     ) -> None:
-        if faults is not None and faults.carried_at is not None:
-            raise ValueError("faults has carried_at in a volume; accepted: faults without it")
-        if faults is not None and faults.walls is not None and faults.walls.shape != world.shape:
-            raise ValueError(
-                f"walls has shape {faults.walls.shape}; accepted: the world's, {world.shape}"
-            )
-        is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
-        self.moving_obstacles = None if is_still else moving_obstacles
+        self.truths = as_truths(truths, ())
         self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
         self.placed = HostOnly(datum)
         several = isinstance(sensors, Sequence)
@@ -196,7 +188,7 @@ class VolumeScenario(Scenario):
             _kinds.instance("sensors", each, VolumeSensor)
         if several and not given:
             raise ValueError("sensors is empty; accepted: one sensor or more")
-        self.world, self.robot, self.sensors, self.faults = world, robot, given, faults
+        self.world, self.robot, self.sensors = world, robot, given
         place = np.asarray(_checks.vector("start", start, 4), np.float64)
         radius = float(robot.radius)
         solid = ~np.asarray(world.is_free)
@@ -264,16 +256,14 @@ class VolumeScenario(Scenario):
             if (own := each.init_part(self.perception.part_named(each.name), begin)) is not None
         }
         belief = belief.with_parts(known_of_parts)
-        nothing, moving = jnp.zeros(()), self.moving_obstacles
+        nothing, truths = jnp.zeros(()), init_truths(self.truths, begin, key)
         motion = None if self.goal is None else Motion(nothing, nothing)
+        moving = what_moves(self.truths, truths, nothing)
         if moving is not None:
             obstacles = Obstacles.unseen(moving.radius)
             belief = dataclasses.replace(belief, obstacles=obstacles)
-            moving = moving if key is None else moving.at_random_phase(key)
         own = self.onboard.init(belief, is_guarded=self.guard is not None)
-        truths = {each.name: each.init(begin) for each in self.truths}
-        truths = {name: state for name, state in truths.items() if state is not None}
-        return VolumeState(self.start, own, known, gain, is_seen, truths, motion, moving), belief
+        return VolumeState(self.start, own, known, gain, is_seen, truths, motion), belief
 
     @property
     def onboard(self) -> VolumeRobot:
@@ -474,15 +464,18 @@ class VolumeScenario(Scenario):
         """Return the share of the observable volume that is known to be free."""
         return state.num_known.astype(jnp.float32) / self.num_observable
 
+    @property
+    def place(self) -> Place:
+        """What disturbances are checked by."""
+        return Place(self.robot, self.datum, self.world)
+
     def truth(self, state: VolumeState, step: Count, time: Scalar) -> TrueVolume:
         """Return the true volume at a time since the start [s], with the walls that have appeared
         before a step."""
-        world = self.world
-        if self.faults is not None:
-            elapsed = self.control_period * step.astype(jnp.float32)
-            world = self.faults.world(world, elapsed)
-        moving = state.moving
-        people = None if moving is None else Cylinders.of(moving, self.world, time)
+        elapsed = self.control_period * step.astype(jnp.float32)
+        world = self.disturbances.world(self.world, elapsed)
+        moving = what_moves(self.truths, state.truths, time)
+        people = None if moving is None else Cylinders.of(moving, self.world)
         return TrueVolume(world, people)
 
     def frame(
@@ -493,7 +486,7 @@ class VolumeScenario(Scenario):
         voxel = jnp.floor(grid.to_grid(position_upwards(state.robot))).astype(jnp.int32)
         depth, height, _ = grid.shape
         layer, row = jnp.clip(voxel[0], 0, depth - 1), jnp.clip(voxel[1], 0, height - 1)
-        plan = jnp.zeros((0, 3))
+        plan, moving = jnp.zeros((0, 3)), what_moves(self.truths, state.truths, moment.time)
         if inspect is not None:
             states = inspect(moment.observed, state.belief).nominal.states
             plan = jax.vmap(position_upwards)(states)
@@ -504,9 +497,7 @@ class VolumeScenario(Scenario):
             "voxels": jnp.packbits(grid.is_occupied.reshape(-1)),
             "plan": plan,
             "is_found": state.is_seen,
-            "movers": jnp.zeros((0, 3))
-            if state.moving is None
-            else state.moving.discs(moment.time),
+            "movers": jnp.zeros((0, 3)) if moving is None else moving.discs,
         }
 
     def recording(
