@@ -33,7 +33,6 @@ def test_robots_draw_their_own_numbers_which_move_with_them(alone) -> None:
     for robot, state, own, each in zip(
         true.split_state(after), states, controls, drawn, strict=True
     ):
-        each = each["variation"]
         mine = each["variation"]
         model = alone.robot.step(state, mine.gain * own, jnp.float32(0.05))
         lost = np.where([name in ("x", "y") for name in alone.robot.state_names], mine.slip, 0.0)

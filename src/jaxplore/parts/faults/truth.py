@@ -105,19 +105,22 @@ class Faults(Disturbance):
 
     def check(self, place: Place) -> None:
         """Check the shape of the walls, and the pose to which the robot is carried."""
-        world, shape = place.world, None if self.walls is None else self.walls.shape
-        where = "in a volume" if isinstance(world, VoxelGrid) else "without a map"
-        if shape is not None and world is None:
-            raise ValueError("faults has walls without a map; accepted: faults without walls")
-        if self.is_carrying and place.reachable is None:
-            raise ValueError(f"faults has carried_at {where}; accepted: faults without it")
-        if world is None:
+        world, walls = place.world, self.walls
+        if walls is not None:
+            if world is None:
+                raise ValueError("faults has walls without a map; accepted: faults without walls")
+            own: tuple[int, ...] = world.shape
+            if isinstance(world, OccupancyGrid):
+                own = world.crop(world.probability).shape
+            # A world that is padded already may come with walls that are.
+            if walls.shape not in (own, world.shape):
+                raise ValueError(f"walls has shape {walls.shape}; accepted: the world's, {own}")
+        if self.carried_at is None:
             return
-        # A world that is padded already may come with walls that are.
-        own = world.shape if isinstance(world, VoxelGrid) else world.crop(world.probability).shape
-        if shape is not None and shape not in (own, world.shape):
-            raise ValueError(f"walls has shape {shape}; accepted: the world's, {own}")
-        if self.carried_to is None or place.reachable is None or isinstance(world, VoxelGrid):
+        if place.reachable is None or not isinstance(world, OccupancyGrid):
+            where = "without a map" if world is None else "in a volume"
+            raise ValueError(f"faults has carried_at {where}; accepted: faults without it")
+        if self.carried_to is None:
             return
         row, column = np.asarray(world.frame.to_cell(self.carried_to[:2])).tolist()
         rows, columns = place.reachable.shape

@@ -8,7 +8,6 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
@@ -760,7 +759,7 @@ class ExplorationScenario(Scenario):
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""
-        moving = Partial(what_moves, self.truths, state.truths, moment.time)
+        moving = eqx.Partial(what_moves, self.truths, state.truths, moment.time)
         return self.world_at(moving, moment)
 
     def world_at(self, find_moving: Callable[[], MovingDiscs | None], moment: Moment) -> TrueWorld:

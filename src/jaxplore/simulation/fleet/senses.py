@@ -5,8 +5,8 @@ import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
-from jax.tree_util import Partial
 from jaxtyping import Array, Int
 
 from jaxplore._equal_objects import Alike
@@ -58,7 +58,7 @@ class TeamSenses(NamedTuple):
         ):
             robots = jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs)
             moving = MovingDiscs.join([what_moves(one.truths, each.truths, own.time), robots])
-            truth = one.world_at(Partial(MovingDiscs.join, (moving,)), own)
+            truth = one.world_at(eqx.Partial(MovingDiscs.join, (moving,)), own)
             scanned.append(one.sense(each, truth, own, key, is_told=False))
             around.append(moving)
         rates = scenarios[0].rates
@@ -118,7 +118,7 @@ class TeamSenses(NamedTuple):
             place: Pose | None,
             key: Key,
         ) -> Obstacles:
-            truth = one.world_at(Partial(MovingDiscs.join, (moving,)), moment)
+            truth = one.world_at(eqx.Partial(MovingDiscs.join, (moving,)), moment)
             pose = one.robot.pose(robot)
 
             def update(before: Obstacles) -> Obstacles:
