@@ -75,8 +75,11 @@ class Targets(PartTruth):
             if found is not None:
                 # Of the things that are looked for the targets come first.
                 return found[: self.number]
-        world = vantage.truth
-        return own | vantage.sensors[0].sees(world.grid, vantage.pose, self.places, world.ground)
+        world, sensor = vantage.truth, vantage.sensors[0]
+        is_in_sight: Bool[Array, " M"] = sensor.sees(
+            world.grid, vantage.pose, self.places, world.ground
+        )
+        return own | is_in_sight
 
     def unite(self, told: Bool[Array, "N M"], pose: Pose) -> Bool[Array, " M"]:
         """Return which targets some robot has found."""
