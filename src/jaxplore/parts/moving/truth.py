@@ -11,7 +11,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Key, Pose, Position, Scalar
+from jaxplore._types import ArrayLike, Key, Position, Scalar
 from jaxplore.maps.world import MovingObstacle
 from jaxplore.simulation.exploration.moving_discs import START_OF_MOVING, MovingDiscs
 from jaxplore.simulation.exploration.part_truth import PartTruth
@@ -82,7 +82,7 @@ class MovingObstacles(PartTruth):
         positions, directions = jax.vmap(_place)(self.corners, self.arc, travelled)
         return MovingDiscs(positions, self.speed[:, None] * directions, self.radius)
 
-    def init(self, pose: Pose) -> Float[Array, " M"] | None:
+    def init(self, pose: Float[Array, " P"]) -> Float[Array, " M"] | None:
         """Return the phases; None without a disc."""
         return self.phase if self.phase.shape[0] else None
 
