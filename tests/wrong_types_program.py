@@ -411,7 +411,6 @@ def numbers() -> dict[str, Any]:
         "VolumePerception.goal": [2.6, 2.0, 2.0],
         "VolumePerception.window": [8.0, 8.0, 4.0],
         "VolumeScenario.goal": [2.6, 2.0, 2.0],
-        "VolumeScenario.targets": [[2.6, 2.0, 2.0]],
         "World.forbidden": [[3.0, 3.0, 4.0, 4.0]],
         "World.goal": [4.0, 4.0],
         "World.hills": [[3.0, 3.0, 0.1, 2.0]],

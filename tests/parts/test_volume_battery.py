@@ -119,10 +119,10 @@ def test_a_dock_in_a_volume_must_be_reached_with_the_charge() -> None:
     with pytest.raises(ValueError, match=r"dock is \(3.1, 0.5, 1.2\), not in a free voxel; accept"):
         scenario(Battery((3.1, 0.5, 1.2)))
     message = (
-        r"dock is \(6.5, 0.3, 1.2\), which a robot of radius 0.3 m cannot reach from its start"
+        r"dock is \(6.5, 0.25, 0.25\), which a robot of radius 0.3 m cannot reach from its start"
     )
     with pytest.raises(ValueError, match=message):
-        scenario(Battery((6.5, 0.3, 1.2)))
+        scenario(Battery((6.5, 0.25, 0.25)))
     small = Battery(DOCK, capacity=0.05, **NUMBERS)
     message = r"dock is \(6.5, 1, 1.2\), 6.0 m from the start, for which the battery of 0.05 Wh"
     with pytest.raises(ValueError, match=message):

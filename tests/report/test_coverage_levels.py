@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxplore.parts.targets.report import TargetRecord, TargetReport
 from jaxplore.report.compute import Timing
 from jaxplore.report.coverage_levels import (
     LEVELS,
@@ -83,13 +84,14 @@ def fly(coverage: list[float], target: float = 0.99, **changes: object) -> Volum
 
 
 def test_a_search_in_a_volume_is_judged_by_its_targets() -> None:
-    run = fly([0.2, 0.5, 0.6, 0.7], targets=np.zeros((2, 3)))
+    run = fly([0.2, 0.5, 0.6, 0.7], parts={"targets": TargetReport(np.zeros((2, 3)))})
     for seen, last, end in (([0, 1, 2, 2], 1.0, 1.5), ([0, 1, 1, 1], None, None)):
-        records = run.records._replace(targets_seen=np.asarray(seen, np.int32))
+        record = {"targets": TargetRecord(np.asarray(seen, np.int32))}
+        records = run.records._replace(parts=record)
         found = dataclasses.replace(run, records=records)
         metrics = found.metrics()
-        assert (metrics.num_targets, metrics.targets_seen) == (2, seen[-1])
-        assert metrics.last_target_at == last
+        targets = metrics.parts["targets"]
+        assert (targets.number, targets.seen, targets.last_at) == (2, seen[-1], last)
         assert metrics.finished_at == end
         assert metrics.series()["targets"][-1] == seen[-1]
         text = "2 of 2 seen, the last at 1.00 s" if last else "1 of 2 seen"
@@ -97,8 +99,7 @@ def test_a_search_in_a_volume_is_judged_by_its_targets() -> None:
         assert found.live_curves.names == ("coverage", "targets found")
         np.testing.assert_array_equal(found.live_curves.values[1], np.asarray(seen) / 2)
     moved = run.move(np.array([5.0, -3.0]))
-    np.testing.assert_array_equal(moved.targets, [[5.0, -3.0, 0.0]] * 2)
-    assert fly([0.2]).metrics().num_targets == 0
+    np.testing.assert_array_equal(moved.parts["targets"].places, [[5.0, -3.0, 0.0]] * 2)
 
 
 SHARE = [0.2, float(np.float32(0.5)), 0.7, float(np.float32(0.9)), float(np.float32(0.95)), 0.97]

@@ -23,6 +23,7 @@ from jaxplore.costs import (
 )
 from jaxplore.dynamics.quadrotor import attitude_upwards, position_upwards
 from jaxplore.maps.generators.volumes import START
+from jaxplore.parts.targets.report import TargetRecord, TargetReport
 from jaxplore.report.drawing.colours import TARGET
 from jaxplore.report.volume.recording import PALE, TRAIL
 from jaxplore.simulation.loop import run_chunk
@@ -61,10 +62,16 @@ def test_it_explores_a_room_without_a_contact(run) -> None:
 def test_targets_are_drawn_filled_until_they_are_found(run, tmp_path) -> None:
     recording, targets = run.recording, np.array([[1.0, 1.0, 1.0], [7.0, 3.0, 1.5]])
     frames = tuple(
-        dataclasses.replace(each, is_found=np.array([each.step > 0, False]))
+        dataclasses.replace(each, parts={"targets": {"is_found": np.array([each.step > 0, False])}})
         for each in recording.frames
     )
-    search = dataclasses.replace(recording, targets=targets, frames=frames)
+    seen = TargetRecord(np.arange(recording.num_steps) > 0)
+    search = dataclasses.replace(
+        recording,
+        parts={"targets": TargetReport(targets)},
+        frames=frames,
+        records=recording.records._replace(parts={"targets": seen}),
+    )
     purple = [
         (np.asarray(search.frame_image(each)) == np.array(TARGET)).all(axis=-1).sum()
         for each in (frames[0], frames[-1])

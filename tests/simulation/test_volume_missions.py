@@ -229,10 +229,16 @@ def _with_box(place) -> jx.VolumePerception:
             "cannot reach from its start: .* accepted: a goal within 0.135",
         ),
         ({"goal": (99.0, 0.9, 1.2)}, "goal is .*99, .*cannot reach from its start"),
-        ({"goal": GOAL, "targets": [GOAL]}, "beside targets; accepted: one of them"),
+        (
+            {"goal": GOAL, "truths": [jx.parts.Targets([GOAL])]},
+            "beside targets; accepted: one of them",
+        ),
         ({"goal": GOAL, "perception": _with_box(START)}, r"start is \(1, 0.9, 1.2\), in a keep-"),
         ({"goal": GOAL, "perception": _with_box(GOAL)}, r"goal is \(6.5, 0.9, 1.3\), in a keep-"),
-        ({"targets": [GOAL], "perception": _with_box(GOAL)}, "targets are 1, all in keep-out b"),
+        (
+            {"truths": [jx.parts.Targets([GOAL])], "perception": _with_box(GOAL)},
+            "targets are 1, all in keep-out b",
+        ),
         ({"goal": (1.0, 2.0)}, "goal is .* accepted: 3 finite numbers"),
         ({"goal": jx.Goal(GOAL, 0.0)}, "goal_radius is 0.0; accepted"),
         ({"goal": jx.Goal(GOAL, max_unknown=0.2)}, "max_unknown of goal is 0.2; accepted"),

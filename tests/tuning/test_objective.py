@@ -103,14 +103,11 @@ def test_who_gets_further_in_time_is_less_late(target, one, other) -> None:
 
 def test_late_times_are_those_of_the_mission() -> None:
     assert with_late_times(explored(0.4), 100.0)["time_to.90"] == pytest.approx(150.0)
-    for number, seen, last in (
-        ("targets.number", "targets.seen", "targets.last_at"),
-        ("num_targets", "targets_seen", "last_target_at"),  # of a volume
-    ):
-        none = explored(0.4, **{number: 0.0, last: None})
-        assert with_late_times(none, 100.0)[last] is None
-        sought = explored(0.4, **{number: 4.0, seen: 3.0, last: None})
-        assert with_late_times(sought, 100.0)[last] == pytest.approx(125.0)
+    number, seen, last = "targets.number", "targets.seen", "targets.last_at"
+    none = explored(0.4, **{number: 0.0, last: None})
+    assert with_late_times(none, 100.0)[last] is None
+    sought = explored(0.4, **{number: 4.0, seen: 3.0, last: None})
+    assert with_late_times(sought, 100.0)[last] == pytest.approx(125.0)
     path = {"finished_at": None, "to_go": 30.0, "progress": 10.0}
     assert with_late_times(path, 40.0)["finished_at"] == pytest.approx(70.0)
     assert with_late_times(path, 40.0)["late.finished_at"] == 1.0

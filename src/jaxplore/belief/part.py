@@ -40,12 +40,17 @@ class Observation(NamedTuple):
     obstacles: Obstacles | None = None
 
 
+ERRAND_RADIUS = 0.3
+"""Distance from the place of an errand within which a robot must come to rest [m]."""
+
+
 class Errand(NamedTuple):
     """A place to which a part sends the robot.
 
     Args:
         place: position (x, y), in a volume (x, y, z) with z up [m].
-        is_due: whether the robot must go there now, before all else, and come to rest.
+        is_due: whether the robot must go there now, before all else, and come to rest within
+            `ERRAND_RADIUS`.
     """
 
     place: Float[Array, " D"]

@@ -22,7 +22,7 @@ from jaxplore.belief.coarse_voxels import (
     update_coarse,
 )
 from jaxplore.belief.exploration_field import information_sources
-from jaxplore.belief.part import Errand, Part, as_parts
+from jaxplore.belief.part import ERRAND_RADIUS, Errand, Part, as_parts
 from jaxplore.belief.robot_cells import free_around
 from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shift_array, window_shape
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
@@ -485,6 +485,9 @@ class VolumePerception(eqx.Module):
             own = part.plan_errand(states[part.name], jnp.where(is_known, cost, jnp.inf))
             states[part.name], planned = own, part.errand(own)
             assert planned is not None
+            reach, field = jnp.asarray(ERRAND_RADIUS, jnp.float32), belief.clearance
+            rest, _ = resting_place(field, field, planned.place, reach, self.radius)
+            planned = planned._replace(place=rest)
             if found is None:
                 found = planned, lengths
             else:

@@ -68,8 +68,8 @@ class VolumeBelief(eqx.Module):
         goal: what is known of the way to the goal; None without a goal.
         parts: state of each part of the perception, by its name.
         obstacles: moving obstacles that the robot knows; None where nothing moves.
-        errand: place to which a part sends the robot; None without parts that do. While it is due,
-            `guidance` leads there, and nothing is worth a look.
+        errand: where the robot comes to rest for the part that sends it somewhere; None without
+            parts that do. While it is due, `guidance` leads there, and nothing is worth a look.
     """
 
     position: Float[Array, "3"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.report.metrics import Column, Curve, Metrics
-from jaxplore.report.part import PartMetrics, PartReport
+from jaxplore.report.part import PartMetrics, PartReport, Tally
 from jaxplore.report.recording import RunData
 
 if TYPE_CHECKING:
@@ -35,6 +35,11 @@ class PartsData(RunData):
         fields = [each._asdict() for each in records.values()]
         fields += [each.arrays() for each in self.parts.values()]
         return {name: np.asarray(rows) for each in fields for name, rows in each.items()}
+
+    def tallies(self) -> list[Tally]:
+        """Return how many were found of what the task is about."""
+        found = (each.tally(self) for each in self.parts.values())
+        return [each for each in found if each is not None]
 
     def part_metrics(self) -> dict[str, PartMetrics]:
         """Compute the metrics of each part, by its name."""

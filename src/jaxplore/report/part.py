@@ -71,8 +71,8 @@ class PartReport(abc.ABC):
     """What a run shows of a part, in NumPy; a frozen dataclass.
 
     All methods but `metrics` show nothing by default. `run` are the data of the run that have the
-    report, and `frame` is a frame of them. Pictures of a volume show `marks`, `legend` and
-    `footer`, and do not call `add_to_map` and `draw`.
+    report, and `frame` is a frame of them. Pictures of a volume show `marks` and `footer`, and call
+    `add_to_space` in place of `add_to_map` and `draw`.
     """
 
     name: ClassVar[str]
@@ -115,6 +115,9 @@ class PartReport(abc.ABC):
 
     def add_to_map(self, axes: "Axes", run: Any, window: Window) -> None:  # noqa: B027
         """Draw into the figure of the map."""
+
+    def add_to_space(self, axes: "Axes", frame: Any) -> None:  # noqa: B027
+        """Draw into the figure of a volume, which has three dimensions."""
 
     def draw(  # noqa: B027
         self, surface: Surface, draw: ImageDraw.ImageDraw, run: Any, frame: Any

@@ -146,6 +146,11 @@ class BatteryReport(PartReport):
             zorder=4.8,
         )
 
+    def add_to_space(self, axes: "Axes", frame: Any) -> None:
+        """Draw the docks."""
+        look: dict[str, Any] = {"color": shade(DOCK), "marker": "P", "s": 70, "label": "dock"}
+        axes.scatter(*self.docks.T, **look)
+
     def draw(self, surface: Surface, draw: ImageDraw.ImageDraw, run: Any, frame: Any) -> None:
         """Draw the docks: a green square with a plus."""
         reach, unit = 7.0 * surface.unit, surface.unit

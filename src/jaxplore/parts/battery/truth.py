@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Flag, Key, Scalar, StateVector
+from jaxplore.belief.part import ERRAND_RADIUS
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parts.battery.report import BatteryRecord, BatteryReport
@@ -20,7 +21,7 @@ from jaxplore.simulation.exploration.part_truth import Drive, PartTruth, Site
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.volume.true_volume import TrueVolume
 
-DOCK_RADIUS = 0.3
+DOCK_RADIUS = ERRAND_RADIUS
 """Distance of the robot's centre from the dock within which it is charged [m]."""
 DOCK_SPEED = 0.1
 """Speed at which charging begins [m/s]."""

@@ -13,9 +13,9 @@ from jaxplore.report.drawing.colours import FREE, TARGET, blend, shade
 from jaxplore.report.drawing.footer import Entry
 from jaxplore.report.drawing.palette import Colour
 from jaxplore.report.drawing.shapes import Surface, draw_targets
-from jaxplore.report.exploration.mission import MissionData
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.metrics import Column, Curve
+from jaxplore.report.of_parts import PartsData
 from jaxplore.report.part import Headline, PartMetrics, PartReport, Tally
 from jaxplore.report.targets import last_target_at, target_rows
 
@@ -69,7 +69,7 @@ class TargetReport(PartReport):
     """Targets, and how they are found.
 
     Args:
-        places: (M, 2) positions [m].
+        places: (M, 2) positions, in a volume (M, 3) [m].
         how: what finding means, `seen` or `recognised`.
     """
 
@@ -84,7 +84,7 @@ class TargetReport(PartReport):
         """Return the report with an offset (2,) [m] added to the targets."""
         return dataclasses.replace(self, places=move_points(self.places, offset))
 
-    def metrics(self, run: MissionData) -> TargetMetrics:
+    def metrics(self, run: PartsData) -> TargetMetrics:
         """Compute the metrics."""
         seen, number = np.asarray(run.records.parts[self.name].targets_seen), len(self.places)
         return TargetMetrics(
@@ -94,11 +94,11 @@ class TargetReport(PartReport):
             how=self.how,
         )
 
-    def series(self, run: MissionData) -> dict[str, np.ndarray]:
+    def series(self, run: PartsData) -> dict[str, np.ndarray]:
         """Return the number of targets that were found at each instant."""
         return {"targets": at_instants(run.records.parts[self.name].targets_seen, 0.0)}
 
-    def tally(self, run: MissionData) -> Tally:
+    def tally(self, run: PartsData) -> Tally:
         """Return how many targets were found at each instant."""
         return Tally("targets", self.series(run)["targets"], len(self.places), TARGET)
 
@@ -106,12 +106,12 @@ class TargetReport(PartReport):
         """Return the targets."""
         return {"targets": self.places}
 
-    def headline(self, run: MissionData, step: int) -> Headline:
+    def headline(self, run: PartsData, step: int) -> Headline:
         """Return how many targets were found."""
         values = self.series(run)["targets"]
         return Headline(f"{values[step]:.0f}", "targets found", values, float(len(self.places)))
 
-    def footer(self, run: MissionData, frame: Any) -> str:
+    def footer(self, run: PartsData, frame: Any) -> str:
         """Return how many targets were found by the time of a frame."""
         return f"targets {int(np.sum(self.is_found(frame)))} of {len(self.places)}"
 
@@ -123,7 +123,7 @@ class TargetReport(PartReport):
         """Draw the targets: a star until it is found, then a ring with a check mark."""
         draw_targets(surface, draw, self.places, self.is_found(frame), TARGET)
 
-    def add_to_map(self, axes: "Axes", run: MissionData, window: Window) -> None:
+    def add_to_map(self, axes: "Axes", run: PartsData, window: Window) -> None:
         """Draw the targets: found ones as rings, those that are still to be found as stars."""
         places = window.place(self.places) + window.corner
         colour, is_found = shade(TARGET), self.is_found(run.frames[-1])
@@ -145,6 +145,14 @@ class TargetReport(PartReport):
                 label=label,
                 zorder=4.0,
             )
+
+    def add_to_space(self, axes: "Axes", frame: Any) -> None:
+        """Draw the targets: found ones as discs, those that are still to be found as stars."""
+        is_found = self.is_found(frame)
+        for some, marker, label in ((~is_found, "*", "target"), (is_found, "o", "target found")):
+            if some.any():
+                look: dict[str, Any] = {"color": shade(TARGET), "marker": marker, "s": 60}
+                axes.scatter(*self.places[some].T, label=label, **look)
 
     def marks(self, frame: Any) -> list[tuple[np.ndarray, Colour]]:
         """Return the targets, pale where they were found."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from jaxplore.maps.datum import move_points
 from jaxplore.report.of_parts import PartsData
-from jaxplore.report.part import Tally
 from jaxplore.report.recording import Frame
 
 
@@ -62,11 +61,6 @@ class MissionData(PartsData):
     @abc.abstractmethod
     def last_positions(self) -> np.ndarray:
         """Positions (N, 2) of all robots at the end [m]."""
-
-    def tallies(self) -> list[Tally]:
-        """Return how many were found of what the task is about."""
-        found = (each.tally(self) for each in self.parts.values())
-        return [each for each in found if each is not None]
 
     def move_mission(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from jaxplore.report.metrics import Column, Curve, thin_series
 from jaxplore.report.motion import episodes
 from jaxplore.report.of_parts import PartsData, PartsMetrics
 from jaxplore.report.recording import Frame, LiveCurves, move_records, move_states
-from jaxplore.report.targets import last_target_at, target_rows
 
 
 class VolumeRecord(NamedTuple):
@@ -37,7 +37,6 @@ class VolumeRecord(NamedTuple):
         is_collision: whether the step would have led to a collision; the robot stopped instead.
         effective_sample_size: effective sample size of the controller's rollouts.
         is_finite: whether any rollout had a finite cost.
-        targets_seen: number of targets that were seen so far; None without targets.
         is_untraversable: whether part of the robot is in a keep-out box; None without any.
         stop: why the guard stopped the robot, an index into `control.stops.REASONS`; 0 if it did
             not, None without a guard.
@@ -51,7 +50,6 @@ class VolumeRecord(NamedTuple):
     is_collision: Flag
     effective_sample_size: Scalar
     is_finite: Flag
-    targets_seen: Count | None = None
     is_untraversable: Flag | None = None
     stop: Count | None = None
     parts: dict[str, Any] | None = None
@@ -68,8 +66,8 @@ class VolumeFrame(Frame):
         upright: (D, W) vertical slice of the map along x, through the robot.
         voxels: (ceil(D H W / 8),) bits of the voxels that the robot knows to be occupied.
         plan: (T + 1, 3) positions of the nominal trajectory, with z up [m].
-        is_found: (M,) which targets were seen so far.
         movers: (P, 3) true moving obstacles, (x, y, radius) [m].
+        parts: arrays of each part that has any, by its name.
     """
 
     state: np.ndarray
@@ -77,8 +75,8 @@ class VolumeFrame(Frame):
     upright: np.ndarray
     voxels: np.ndarray
     plan: np.ndarray
-    is_found: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
     movers: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
+    parts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     places = ("plan", "movers")
 
@@ -108,7 +106,6 @@ class VolumeData(PartsData):
         target_coverage: coverage at which the exploration is finished.
         robot_radius: radius of the robot [m].
         given_up_step: number of steps until it was given up; None if it was not.
-        targets: (M, 3) positions (x, y, z) of the targets [m].
         goal: (3,) position (x, y, z) of the goal [m]; None without one.
         is_at_goal: whether the robot was at rest at its goal at the end.
         boxes: (B, 6) keep-out boxes (x_min, y_min, z_min, x_max, y_max, z_max) [m].
@@ -127,7 +124,6 @@ class VolumeData(PartsData):
     target_coverage: float
     robot_radius: float
     given_up_step: int | None = None
-    targets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
     goal: np.ndarray | None = None
     is_at_goal: bool = False
     boxes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 6)))
@@ -138,7 +134,6 @@ class VolumeData(PartsData):
             "records": move_records(self.records, offset, self.state_names),
             "start": move_states(self.start, offset, self.state_names),
             "origin": move_points(self.origin, offset),
-            "targets": move_points(self.targets, offset),
             "goal": None if self.goal is None else move_points(self.goal, offset),
             "parts": self.move_parts(offset),
             "boxes": move_points(move_points(self.boxes, offset), offset, (3, 4)),
@@ -150,13 +145,12 @@ class VolumeData(PartsData):
 
     @property
     def live_curves(self) -> LiveCurves:
-        """The coverage, and the share of the targets that were found."""
-        rows = np.asarray(self.records.coverage)[None]
-        if not len(self.targets):
-            return LiveCurves("coverage", ("coverage",), rows)
-        shares = np.asarray(self.records.targets_seen)[None] / len(self.targets)
-        names = ("coverage", "targets found")
-        return LiveCurves("coverage and targets found", names, np.concatenate([rows, shares]))
+        """The coverage, and the share that was found of what the task is about."""
+        rows, names = [np.asarray(self.records.coverage)], ["coverage"]
+        for tally in self.tallies():
+            rows.append(tally.values[:-1] / tally.number)
+            names.append(f"{tally.label} found")
+        return LiveCurves(" and ".join(names), tuple(names), np.stack(rows))
 
     @property
     def coverage(self) -> np.ndarray:
@@ -186,13 +180,9 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
         minimum_clearance: least distance from the robot's edge to a solid voxel [m].
         mean_speed: mean speed [m/s].
         mean_effective_sample_size: mean effective sample size.
-        num_targets: number of targets.
-        targets_seen: number of targets that were seen.
-        last_target_at: time at which the last target was seen [s]; None if some were not.
         goal_distance: distance from the goal at the end [m]; None without a goal.
         untraversable_steps: number of steps that ended with part of the robot in a keep-out box.
-        curve: time, coverage and path, with targets how many were found, and the curves of parts,
-            for plots.
+        curve: time, coverage and path, and the curves of parts, for plots.
     """
 
     coverage: float
@@ -204,9 +194,6 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
     minimum_clearance: float | None
     mean_speed: float
     mean_effective_sample_size: float | None
-    num_targets: int
-    targets_seen: int
-    last_target_at: float | None
     goal_distance: float | None
     untraversable_steps: int
     curve: dict[str, list[float | None]]
@@ -214,9 +201,6 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
         Column.num_finished(),
         Column.quartiles("to_90", "90 % [s]", number=lambda each: each.time_to["90"]),
         Column.quartiles("to_95", "95 % [s]", number=lambda each: each.time_to["95"]),
-        Column.quartiles(
-            "last_target_at", "last target [s]", applies=lambda spread: spread[0] < math.inf
-        ),
         Column.quartiles(
             "goal_distance",
             "goal [m]",
@@ -241,12 +225,11 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
         return [
             self.duration_row(),
             ("coverage", f"{percent(self.coverage)} of {self.volume:.1f} m³, {levels}"),
-            *target_rows(self.num_targets, self.targets_seen, self.last_target_at),
+            *self.part_rows(),
             *numbers("goal", "{:.2f} m away", self.goal_distance),
             ("path", f"{self.path_length:.1f} m, {self.mean_speed:.2f} m/s in the mean"),
             ("collisions", str(self.collisions)),
             *self.guard_rows(),
-            *self.part_rows(),
             *(
                 [("untraversable", f"{self.untraversable_steps} steps")]
                 if self.untraversable_steps
@@ -264,20 +247,19 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
     coverage, given_up = data.coverage, data.given_up_step
     steps = np.linalg.norm(np.diff(data.positions, axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])
-    seen = data.records.targets_seen
-    curve_of_targets: dict[str, np.ndarray] = {}
+    tallies = data.tallies()
     if data.goal is not None:
         done = data.num_steps if data.is_at_goal else None
-    elif len(data.targets) and seen is not None:
-        done = find_first(np.asarray(seen, float), float(len(data.targets)))
-        curve_of_targets = {"targets": at_instants(seen, 0.0)}
+    elif tallies:
+        found = [find_first(each.values[:-1].astype(float), float(each.number)) for each in tallies]
+        all_found = [each for each in found if each is not None]
+        done = max(all_found) if len(all_found) == len(tallies) else None
     else:
         done = find_first(coverage, data.target_coverage)
     # A run ends with the step in which its target is reached, or takes none.
     finished_at = None if done is None else min(done + 1, data.num_steps) * period
     sizes = np.asarray(records.effective_sample_size, np.float64)
-    curve = {"time": data.time, "coverage": coverage, "path": path, **curve_of_targets}
-    curve |= data.part_curves()
+    curve = {"time": data.time, "coverage": coverage, "path": path, **data.part_curves()}
     return VolumeMetrics(
         **data.common_metrics(finished_at=finished_at, seed=seed),
         coverage=float(coverage[-1]),
@@ -291,11 +273,6 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         mean_speed=float(path[-1] / max(period, data.num_steps * period)),
         mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
-        num_targets=len(data.targets),
-        targets_seen=0 if seen is None or not len(seen) else int(seen[-1]),
-        last_target_at=last_target_at(
-            np.zeros(0) if seen is None else np.asarray(seen), len(data.targets), period
-        ),
         goal_distance=None
         if data.goal is None
         else float(np.linalg.norm(data.positions[-1] - data.goal)),

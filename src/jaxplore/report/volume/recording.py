@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from jaxplore.report.drawing import colours
 from jaxplore.report.drawing.film import FilmOptions, write_film
 from jaxplore.report.drawing.footer import fonts
-from jaxplore.report.drawing.palette import INK, PAPER, Colour, fit_palette
+from jaxplore.report.drawing.palette import INK, PAPER, fit_palette
 from jaxplore.report.recording import Course, Recording
 from jaxplore.report.volume.data import (
     FREE,
@@ -105,11 +105,6 @@ class VolumeRecording(VolumeData, Recording):
         if len(plan) > 1:
             ahead = [(x, level.height - y) for x, y in plan.tolist()]
             draw.line(ahead, fill=PLAN, width=width)
-        places = (self.targets - self.origin) / self.resolution * pixels
-        for place, is_found in zip(places.tolist(), frame.is_found, strict=True):
-            for x, y in ((place[0], level.height - place[1]), (place[0], size[1] - place[2])):
-                box = (x - radius, y - radius, x + radius, y + radius)
-                draw.ellipse(box, None if is_found else colours.TARGET, colours.TARGET, width)
         for mover in frame.movers:
             x, y = ((mover[:2] - self.origin[:2]) / self.resolution * pixels).tolist()
             across = float(mover[2]) / self.resolution * pixels
@@ -134,7 +129,8 @@ class VolumeRecording(VolumeData, Recording):
         for mark, colour in self.marks(frame):
             x, y, z = ((mark - self.origin) / self.resolution * pixels).tolist()
             for across, up in ((x, level.height - y), (x, size[1] - z)):
-                draw_plus(draw, across, up, 0.7 * radius, colour)
+                box = (across - radius, up - radius, across + radius, up + radius)
+                draw.ellipse(box, colour, PAPER, width)
         if said:
             draw.text((0.25 * below, size[1] + 0.1 * below), said, INK, fonts(scale)[1])
         return picture
@@ -157,7 +153,7 @@ class VolumeRecording(VolumeData, Recording):
 
         Each field of `VolumeRecord` under its name, one row per step; `time` (N + 1,) [s],
         `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `observable` (D, H, W),
-        `origin`, `resolution`, `control_period`, `start`, `state_names`, `targets` (M, 3) [m], with
+        `origin`, `resolution`, `control_period`, `start`, `state_names`, with
         a goal `goal` (3,), and with keep-out boxes `boxes` (B, 6) [m]. Each field of the record of
         a part is there under its name, and what `PartReport.arrays` returns.
         """
@@ -174,7 +170,6 @@ class VolumeRecording(VolumeData, Recording):
             "origin": self.origin,
             "resolution": np.asarray(self.resolution),
             "start": self.start,
-            "targets": self.targets,
             "state_names": np.asarray(self.state_names, np.str_),
             **({} if self.goal is None else {"goal": self.goal}),
             **({"boxes": self.boxes} if len(self.boxes) else {}),
@@ -195,19 +190,6 @@ def _slice_image(states: np.ndarray, pixels: float) -> Image.Image:
     return image.resize((round(columns * pixels), round(rows * pixels)), Image.Resampling.NEAREST)
 
 
-def list_names(data: VolumeData) -> dict[Colour, str]:
-    """Return the names of the colours of marks."""
-    entries = [entry for each in data.parts.values() for entry in each.legend()]
-    return {entry.colour: entry.name for entry in entries}
-
-
-def draw_plus(draw: ImageDraw.ImageDraw, x: float, y: float, reach: float, colour: Colour) -> None:
-    """Draw a square with a plus, `reach` pixels to each side of a place [pixels]."""
-    draw.rectangle((x - reach, y - reach, x + reach, y + reach), colour, PAPER, 1)
-    for dx, dy in ((0.55 * reach, 0.0), (0.0, 0.55 * reach)):
-        draw.line((x - dx, y - dy, x + dx, y + dy), PAPER, max(1, round(0.3 * reach)))
-
-
 def volume_figure(data: VolumeData) -> "Figure":
     """Draw what the robot found in space, and its path.
 
@@ -223,23 +205,14 @@ def volume_figure(data: VolumeData) -> "Figure":
     path = data.positions
     axes.plot(*path.T, color=PLAN, linewidth=1.5)
     axes.scatter(*path[0], color=PLAN, marker="o", s=20)
-    is_found = np.asarray(data.frames[-1].is_found, bool)
-    for some, marker, label in ((~is_found, "*", "target"), (is_found, "o", "target found")):
-        if some.any():
-            places = data.targets[some].T
-            axes.scatter(
-                *places, color=colours.shade(colours.TARGET), marker=marker, s=60, label=label
-            )
     for box in data.boxes:
         for edge in box_edges(box):
             axes.plot(*edge.T, color=BOX, linewidth=1.2)
     if data.goal is not None:
         axes.scatter(*data.goal, color=GOAL, marker="*", s=120, label="goal", depthshade=False)
-    marks, names = data.marks(data.frames[-1]), list_names(data)
-    for place, colour in marks:
-        shade = colours.shade(colour[:3])
-        axes.scatter(*place, color=shade, marker="P", s=70, label=names.pop(colour, None))
-    if len(is_found) or data.goal is not None or marks:
+    for part in data.parts.values():
+        part.add_to_space(axes, data.frames[-1])
+    if axes.get_legend_handles_labels()[1]:
         axes.legend(loc="upper left", frameon=False)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
@@ -317,7 +290,7 @@ def slices_figure(data: VolumeData) -> "Figure":
             axes.plot(*data.goal[:2], marker="*", color=GOAL, markersize=10)
         for place, colour in data.marks(data.frames[-1]):
             if np.abs(heights - place[2]).argmin() == number - 1:
-                axes.plot(*place[:2], marker="P", color=colours.shade(colour[:3]), markersize=9)
+                axes.plot(*place[:2], marker="o", color=colours.shade(colour[:3]), markersize=9)
         axes.set_title(f"z = {z:.2f} m", fontsize=9)
         axes.set_ylabel("y [m]")
     axes.set_xlabel("x [m]")

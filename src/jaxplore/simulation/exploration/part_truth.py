@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _kinds
 from jaxplore._types import ControlVector, Flag, GridMask, Key, Scalar, StateVector
@@ -17,10 +17,15 @@ from jaxplore.dynamics.quadrotor import position_upwards
 from jaxplore.maps.datum import Datum
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.report.part import PartReport
-from jaxplore.simulation.exploration.checks import check_goal
+from jaxplore.simulation.exploration.checks import check_goal, check_spots, is_closed
 from jaxplore.simulation.exploration.moving_discs import MovingDiscs
 from jaxplore.simulation.exploration.reachability import to_grid
-from jaxplore.simulation.volume.checks import check_free, check_reachable
+from jaxplore.simulation.volume.checks import (
+    check_free,
+    check_reachable,
+    check_visible,
+    find_voxels,
+)
 from jaxplore.simulation.volume.true_volume import TrueVolume
 
 
@@ -35,6 +40,7 @@ class Site(NamedTuple):
         truths: what is true of the robot's parts, as it was given.
         reachable: (H, W) cells that the robot's centre can reach; in a volume (D, H, W) voxels.
         datum: point to which positions are relative.
+        visible: (D, H, W) voxels of a volume that a sensor sees from there; None in the plane.
     """
 
     world: Any
@@ -44,6 +50,7 @@ class Site(NamedTuple):
     truths: "tuple[PartTruth, ...]"
     reachable: np.ndarray
     datum: Datum
+    visible: np.ndarray | None = None
 
     def truth[Kind: PartTruth](self, kind: "type[Kind]") -> "Kind | None":
         """Return the truth of a class, as it was given; None without one.
@@ -76,6 +83,29 @@ class Site(NamedTuple):
         else:
             at = jnp.asarray(place, jnp.float32)
             check_goal(at, self.world, self.robot, self.reachable, within, self.datum, name)
+
+    def check_places(self, name: str, places: np.ndarray) -> None:
+        """Check that things (M, 2), in a volume (M, 3) [m], are where a sensor can see them, and
+        not all where the robot must not enter.
+
+        Raises:
+            ValueError: they are not, or have the other number of coordinates.
+        """
+        size = self.reachable.ndim
+        if places.shape[1] != size:
+            raise ValueError(f"{name} have shape {places.shape}; accepted: (M, {size})")
+        if self.visible is not None:
+            check_visible(name, places, self.world, self.visible, self.datum)
+            barred, kind = self.perception.barred_voxels(self.world), "boxes"
+            closed = None if barred is None else np.asarray(barred)[find_voxels(places, self.world)]
+        else:
+            check_spots(name, places, self.world, self.datum)
+            cells, kind = self.perception.closed_cells(self.world), "areas"
+            closed = None if cells is None else is_closed(cells, self.world, places)
+        if closed is not None and closed.all():
+            raise ValueError(
+                f"{name} are {len(places)}, all in keep-out {kind}; accepted: one outside at least"
+            )
 
     def to_grid(self, place: np.ndarray) -> np.ndarray:
         """Return a place [m] in grid coordinates (row, column), in a volume (z, y, x)."""
@@ -123,7 +153,7 @@ class Vantage(NamedTuple):
     Args:
         truth: the `TrueWorld`, or the `TrueVolume`.
         sensors: sensors of the robot.
-        pose: true pose (x, y, yaw) [m, m, rad]; in a volume (x, y, z, yaw).
+        pose: true pose (x, y, yaw) [m, m, rad]; in a volume the true state (nx,).
         parts: parts of the robot.
         known: states of the parts, by name.
     """
@@ -133,6 +163,15 @@ class Vantage(NamedTuple):
     pose: Float[Array, " P"]
     parts: tuple[Part, ...]
     known: Mapping[str, Any]
+
+    def sees(self, points: Float[Array, "M D"]) -> Bool[Array, " M"]:
+        """Return which points [m] are in sight of the first sensor, in a volume of any sensor."""
+        if isinstance(self.truth, TrueVolume):
+            return self.truth.sees(self.sensors, self.pose, points)
+        seen: Bool[Array, " M"] = self.sensors[0].sees(
+            self.truth.grid, self.pose, points, self.truth.ground
+        )
+        return seen
 
 
 class PartTruth(eqx.Module):

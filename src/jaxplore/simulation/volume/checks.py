@@ -70,3 +70,23 @@ def check_reachable(
         f"from its start: {nearest:.2f} m is the nearest it gets; accepted: a {name} within "
         f"{INSIDE * within:.3g} m of where it can go"
     )
+
+
+def check_visible(
+    name: str, places: np.ndarray, world: VoxelGrid, seen: np.ndarray, datum: Datum
+) -> None:
+    """Check that things (M, 3) [m] are in voxels (D, H, W) that a level sensor can see."""
+    voxels = np.stack(find_voxels(places, world), axis=-1)
+    for index, (place, voxel) in enumerate(zip(places, voxels, strict=True)):
+        is_in = ((voxel >= 0) & (voxel < seen.shape)).all()
+        if not is_in or not seen[tuple(voxel)]:
+            raise ValueError(
+                f"{name}[{index}] is {show_place(place, datum)}; accepted: a free voxel that a "
+                "sensor sees from where the robot can get"
+            )
+
+
+def find_voxels(places: np.ndarray, world: VoxelGrid) -> tuple[np.ndarray, ...]:
+    """Return the voxels (k, j, i) of places (M, 3) [m], an array (M,) for each axis."""
+    apart = np.asarray(places, np.float64) - np.asarray(world.origin)
+    return tuple(np.floor(apart / world.resolution).astype(int)[:, ::-1].T)

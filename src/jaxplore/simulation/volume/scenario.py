@@ -19,7 +19,6 @@ from jaxplore._types import (
     Count,
     Flag,
     Key,
-    Rows,
     Scalar,
     StateVector,
     Vector,
@@ -45,11 +44,13 @@ from jaxplore.sensing.volume import VolumeScan, VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.disturbances import Place
 from jaxplore.simulation.exploration.finish import default_give_up_after
+from jaxplore.simulation.exploration.frames import part_frames
 from jaxplore.simulation.exploration.motion import move_parts, update_parts
 from jaxplore.simulation.exploration.part_truth import (
     Drive,
     PartTruth,
     Site,
+    Vantage,
     as_truths,
     init_truths,
     what_moves,
@@ -73,16 +74,14 @@ class VolumeState(NamedTuple):
     """State of the exploration of a volume: what is true, what the robot knows, what is judged.
 
     `own` is what the robot knows. `num_known` observable voxels are known to be free, and `gain` is
-    the last rise of their share. `is_seen` (M,) says which targets have been seen. `truths` are the
-    states of what is true beside the map, by name. `motion` is that of the last step; None without
-    a goal.
+    the last rise of their share. `truths` are the states of what is true beside the map, by name.
+    `motion` is that of the last step; None without a goal.
     """
 
     robot: StateVector
     own: VolumeRobotState
     num_known: Count
     gain: Gain
-    is_seen: Bool[Array, " M"]
     truths: dict[str, Any]
     motion: Motion | None = None
 
@@ -100,8 +99,9 @@ class VolumeScenario(Scenario):
     a level sensor sees from some place where the robot fits and that is connected with the start;
     coverage is the share of them that the robot's map knows to be free. The exploration is finished
     at the target coverage, and given up when the coverage has not risen by 0.1 % for
-    `give_up_after`: what is left cannot be seen from where the robot fits. With targets it is
-    finished when a sensor has seen all of them, and not given up. With a goal the robot flies
+    `give_up_after`: what is left cannot be seen from where the robot fits. A truth
+    that ends the task, such as `jaxplore.parts.Targets`, takes the place of the coverage, and the
+    exploration is not given up then. With a goal the robot flies
     there, through what it does not know as well, and the run is finished when it has come to rest
     there (`Goal`); it is not given up.
 
@@ -118,7 +118,6 @@ class VolumeScenario(Scenario):
         give_up_after: time without a rise of the coverage after which the exploration is given up
             [s]; when absent a minute and the time of a flight along the diagonal of the volume and
             back at 1 m/s.
-        targets: (M, 3) positions (x, y, z) of targets to find, with z up [m]; none when absent.
         goal: goal, or its position (x, y, z) with z up [m]; none when absent.
         truths: what is true of the robot's parts (`jaxplore.parts`), or of the world beside the
             map: `jaxplore.MovingObstacles`, here upright cylinders from the lower face of the
@@ -132,10 +131,10 @@ class VolumeScenario(Scenario):
     Raises:
         ValueError: a part of another class, a start that is off the volume or so close to a solid
             voxel that the robot touches it, a rate that is no whole fraction, a coverage outside
-            (0, 1], a window of the perception that is too small, a target that is not in an
-            observable voxel, targets beside a goal, a goal where the robot cannot get from its
-            start, a perception made for another goal, a start, a goal or all targets in keep-out
-            boxes; a truth of a part that the robot does not have, or that cannot be in this volume.
+            (0, 1], a window of the perception that is too small, targets beside a goal, a goal
+            where the robot cannot get from its start, a perception made for another goal, a start
+            or a goal in keep-out boxes; a truth of a part that the robot does not have, or that
+            cannot be in this volume.
     """
 
     frame_type = VolumeFrame
@@ -153,7 +152,6 @@ class VolumeScenario(Scenario):
     give_up_after: Scalar
     observable: Bool[Array, "D H W"]
     num_observable: Scalar
-    targets: Float[Array, "M 3"]
     goal: Goal | None
     truths: tuple[PartTruth, ...]
     tracking_noise: Float[Array, "2"]
@@ -173,7 +171,6 @@ class VolumeScenario(Scenario):
         field_rate: float = 5.0,
         target_coverage: ArrayLike = 0.95,
         give_up_after: ArrayLike | None = None,
-        targets: Rows | None = None,
         goal: Vector | Goal | None = None,
         truths: Sequence[PartTruth] = (),
         tracking_noise: Vector = TOLD_NOISE,
@@ -203,20 +200,19 @@ class VolumeScenario(Scenario):
         places = find_fitting_places(solid | is_barred, begin, radius / side)
         views = [(each.max_range / side, *each.elevations) for each in given]
         seen = observable(solid, places, views)
-        self.targets = _check_targets(targets, world, seen, is_barred, datum)
         counted = seen & ~is_barred
         self.observable = on_device(counted)
         self.num_observable = on_device(np.asarray(np.count_nonzero(counted), np.float32))
         self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
         self.goal = None if goal is None else Goal.check(goal, 3)
         if self.goal is not None:
-            has_targets = bool(self.targets.size)
+            has_targets = any(isinstance(each, PartTruth) and each.ends_task for each in truths)
             _check_goal(self.goal, world, places, is_barred, radius, datum, has_targets=has_targets)
         perception = _check_perception(perception, given, world, robot, self.goal)
         perception.window_shape(world.shape, side)
         self.perception = perception
         given_truths = as_truths(truths, perception.parts)
-        site = Site(world, robot, perception, place, given_truths, places, datum)
+        site = Site(world, robot, perception, place, given_truths, places, datum, seen)
         self.truths = tuple(each.bind(site) for each in given_truths)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
@@ -248,7 +244,6 @@ class VolumeScenario(Scenario):
         belief = self.perception.init(blank, position_upwards(self.start))
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
-        is_seen = jnp.zeros(self.targets.shape[0], bool)
         begin = self._pose(self.start)
         known_of_parts = {
             each.name: own
@@ -263,7 +258,7 @@ class VolumeScenario(Scenario):
             obstacles = Obstacles.unseen(moving.radius)
             belief = dataclasses.replace(belief, obstacles=obstacles)
         own = self.onboard.init(belief, is_guarded=self.guard is not None)
-        return VolumeState(self.start, own, known, gain, is_seen, truths, motion), belief
+        return VolumeState(self.start, own, known, gain, truths, motion), belief
 
     @property
     def onboard(self) -> VolumeRobot:
@@ -294,7 +289,7 @@ class VolumeScenario(Scenario):
         state = state._replace(
             own=own,
             num_known=state.num_known + after - before,
-            is_seen=self._find_targets(state, moment, measured),
+            truths=self._judge_parts(state, own, moment, measured),
         )
         errand = own.belief.errand
         is_sent = None if errand is None else errand.is_due
@@ -380,18 +375,32 @@ class VolumeScenario(Scenario):
         belief = eqx.tree_at(lambda each: each.grid.log_odds, own.belief, log_odds)
         return count, own._replace(belief=belief)
 
-    def _find_targets(
-        self, state: VolumeState, moment: Moment, measured: VolumeMeasurement
-    ) -> Bool[Array, " M"]:
-        """Return which targets have been seen."""
-        if not state.is_seen.size:
-            return state.is_seen
-        truth = self.truth(state, moment.step, moment.time)
+    def _judge_parts(
+        self,
+        state: VolumeState,
+        own: VolumeRobotState,
+        moment: Moment,
+        measured: VolumeMeasurement,
+    ) -> dict[str, Any]:
+        """Return the states of the truths of parts after scans, given what the robot knows."""
+        judging = [each for each in self.truths if each.is_judging]
+        if not judging:
+            return state.truths
+        truth, known = self.truth(state, moment.step, moment.time), own.belief.parts
+        vantage = Vantage(truth, self.sensors, state.robot, self.perception.parts, known)
 
-        def find(seen: Bool[Array, " M"]) -> tuple[Bool[Array, " M"]]:
-            return (seen | truth.sees(self.sensors, state.robot, self.targets),)
+        def judge(before: dict[str, Any]) -> tuple[dict[str, Any]]:
+            said = {
+                each.name: each.judge(
+                    each.witness(before[each.name], vantage),
+                    known.get(each.name),
+                    *(self.observable, self.num_observable, moment.time),
+                )
+                for each in judging
+            }
+            return ({**before, **said},)
 
-        return when_due(measured.is_scan_due, ~moment.is_blind, find, (state.is_seen,))[0]
+        return when_due(measured.is_scan_due, ~moment.is_blind, judge, (state.truths,))[0]
 
     def advance(
         self, state: VolumeState, control: ControlVector, moment: Moment, info: Info
@@ -416,7 +425,6 @@ class VolumeScenario(Scenario):
             is_collision=is_collision,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
-            targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32) if state.is_seen.size else None,
             is_untraversable=self._is_barred(after),
             stop=moment.stop,
             parts=parts,
@@ -438,13 +446,15 @@ class VolumeScenario(Scenario):
     def _is_unfinished(self, state: VolumeState) -> Flag:
         if self.goal is not None:
             return ~self._is_there(self.goal, state)
-        if state.is_seen.size:
-            return ~state.is_seen.all()
+        told = [each.is_finished(state.truths.get(each.name)) for each in self.truths]
+        ends = [each for each in told if each is not None]
+        if ends:
+            return ~jnp.stack(ends).all()
         return (self.coverage(state) < self.target_coverage) & ~self.is_given_up(state)
 
     def is_given_up(self, state: VolumeState) -> Flag:
         """Check whether the coverage has not risen for `give_up_after`, below its target."""
-        if state.is_seen.size or self.goal is not None:
+        if self.goal is not None or any(each.ends_task for each in self.truths):
             return jnp.array(False)
         is_below = self.coverage(state) < self.target_coverage
         return is_below & (state.gain.since >= self.give_up_after)
@@ -496,7 +506,7 @@ class VolumeScenario(Scenario):
             "upright": voxel_states(grid.log_odds[:, row]),
             "voxels": jnp.packbits(grid.is_occupied.reshape(-1)),
             "plan": plan,
-            "is_found": state.is_seen,
+            "parts": part_frames(self.truths, state.belief.parts, state.truths),
             "movers": jnp.zeros((0, 3)) if moving is None else moving.discs,
         }
 
@@ -520,7 +530,6 @@ class VolumeScenario(Scenario):
             initial_coverage=float(self.coverage(before)),
             target_coverage=float(self.target_coverage),
             robot_radius=float(self.robot.radius),
-            targets=np.asarray(self.targets),
             goal=None if self.goal is None else np.asarray(self.goal.position),
             is_at_goal=self.goal is not None and not bool(self._is_unfinished(last)),
             parts=part_reports(
@@ -561,37 +570,6 @@ def voxel_states(log_odds: Float[Array, "*N"]) -> UInt8[Array, "*N"]:
     solid = jnp.where(log_odds > OCCUPIED_ABOVE, OCCUPIED, UNKNOWN)
     kinds = jnp.where(log_odds < FREE_BELOW, FREE, solid)
     return kinds.astype(jnp.uint8)
-
-
-def _check_targets(
-    targets: Rows | None,
-    world: VoxelGrid,
-    seen: np.ndarray,
-    is_barred: np.ndarray,
-    datum: Datum,
-) -> Float[Array, "M 3"]:
-    """Return targets (M, 3) [m], each in a voxel that a level sensor can see.
-
-    Raises:
-        ValueError: another shape, a target elsewhere, or all targets in keep-out boxes.
-    """
-    if targets is None:
-        return on_device(np.zeros((0, 3), np.float32))
-    places, outside = _checks.array("targets", targets, ("M", 3), may_be_empty=True), 0
-    for index, place in enumerate(np.asarray(places, np.float64)):
-        voxel = np.floor((place - np.asarray(world.origin))[::-1] / world.resolution).astype(int)
-        is_in = ((voxel >= 0) & (voxel < seen.shape)).all()
-        if not is_in or not seen[tuple(voxel)]:
-            raise ValueError(
-                f"targets[{index}] is {show_place(place, datum)}; accepted: a free voxel that a "
-                "sensor sees from where the robot can get"
-            )
-        outside += not is_barred[tuple(voxel)]
-    if len(places) and not outside:
-        raise ValueError(
-            f"targets are {len(places)}, all in keep-out boxes; accepted: one outside at least"
-        )
-    return places
 
 
 def _check_goal(

@@ -102,7 +102,7 @@ class Objective:
     @property
     def is_about_time(self) -> bool:
         """Whether it contains a time with a positive weight."""
-        times = ("finished_at", *LAST_TARGET, "duration")
+        times = ("finished_at", LAST_TARGET, "duration")
         return any(
             weight > 0.0 and (name in times or name.startswith("time_to."))
             for weight, name in self.terms
@@ -191,10 +191,8 @@ def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None
     return numbers
 
 
-LAST_TARGET = ("targets.last_at", "last_target_at")
-TARGETS_SEEN = ("targets.seen", "targets_seen")
-NUM_TARGETS = ("targets.number", "num_targets")
-"""Metrics of targets, on a plane and in a volume."""
+LAST_TARGET, TARGETS_SEEN, NUM_TARGETS = "targets.last_at", "targets.seen", "targets.number"
+"""Metrics of targets."""
 LATE = "late."
 """Prefix of the metrics that mark times of events that did not happen."""
 
@@ -219,9 +217,9 @@ def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
             level = float(name.removeprefix("time_to.")) / 100.0
             filled[name] = limit * (1.0 + max(level - coverage, 0.0))
             filled[f"{LATE}{name}"] = 1.0
-    for name in ("finished_at", *LAST_TARGET):
+    for name in ("finished_at", LAST_TARGET):
         # Without targets there is no last one, so nothing is late.
-        is_asked = name not in LAST_TARGET or any(metrics.get(each) for each in NUM_TARGETS)
+        is_asked = name != LAST_TARGET or bool(metrics.get(NUM_TARGETS))
         if name in metrics and metrics[name] is None and is_asked:
             filled[name] = limit * (1.0 + _share_left(metrics))
             filled[f"{LATE}{name}"] = 1.0
@@ -238,9 +236,8 @@ def _share_left(metrics: Numbers) -> float:
     if "to_go" in metrics:
         left = max(number("to_go"), 0.0)
         return left / max(left + max(number("progress"), 0.0), 1e-9)
-    for seen, total in zip(TARGETS_SEEN, NUM_TARGETS, strict=True):
-        if number(total):
-            return 1.0 - number(seen) / number(total)
+    if number(NUM_TARGETS):
+        return 1.0 - number(TARGETS_SEEN) / number(NUM_TARGETS)
     if metrics.get("goal_distance") is not None:
         # A goal needs a known map and the way there, and each counts half.
         away = number("goal_distance")

@@ -24,8 +24,6 @@ SHOWN = (
     "corridor_violations",
     "targets.seen",
     "targets.last_at",
-    "targets_seen",
-    "last_target_at",
     "watch.mean_idleness",
     "watch.worst_idleness",
     "goal_distance",

@@ -23,6 +23,7 @@ from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
 from jaxplore.parts.capability import Surroundings
 from jaxplore.parts.registry import build_parts, control_arguments
+from jaxplore.parts.targets.truth import Targets
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
     volume_explorer,
@@ -73,6 +74,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
     )
+    search = [datum.to_local(each) for each in settings.search]
     scenario = VolumeScenario(
         world,
         robot,
@@ -80,8 +82,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         _start(settings, world, robot, datum),
         perception=perception,
         goal=None if goal is None else Goal(goal, **arguments(settings, Goal)),
-        truths=equipment.truths,
-        targets=[datum.to_local(each) for each in settings.search] or None,
+        truths=(*equipment.truths, *([Targets(search)] if search else [])),
         datum=datum,
         **arguments(settings, VolumeScenario),
         **arguments(settings.rates, VolumeScenario),

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxplore.report.drawing.colours import FREE, TARGET, blend
 from jaxplore.report.drawing.palette import PLAN, REFERENCE, ROBOT, TRAIL, Colour
 from jaxplore.report.volume.data import VolumeData, VolumeFrame
 from jaxplore.report.volume.space import height_colours, surface
@@ -17,12 +16,13 @@ if TYPE_CHECKING:
 class VolumeScene(Scene):
     """The voxels that the robot has found to be occupied, its trail and its plan, in space."""
 
-    layers = ("voxels", "plan", "trail", "targets", "goal", "marks")
+    layers = ("voxels", "plan", "trail", "goal", "marks")
 
     def __init__(self, server: "viser.ViserServer", recording: VolumeData) -> None:
         super().__init__(server)
         self._recording = recording
         self._drawn: np.ndarray | None = None
+        self._marked: list[tuple[float, ...]] = []
         shape = np.array(recording.world.shape[::-1])
         self._low = np.asarray(recording.origin, np.float64)
         self._high = self._low + shape * recording.resolution
@@ -37,7 +37,6 @@ class VolumeScene(Scene):
             self._draw_voxels(frame)
         self._line("trail", trail, TRAIL, 2.0)
         self._line("plan", frame.plan, PLAN, 4.0)
-        self._draw_targets(frame)
         self._draw_goal()
         self._draw_marks(frame)
         self._draw_robot(frame)
@@ -45,7 +44,7 @@ class VolumeScene(Scene):
     def clear(self) -> None:
         """Remove everything that was drawn."""
         super().clear()
-        self._drawn = None
+        self._drawn, self._marked = None, []
 
     def _draw_voxels(self, frame: VolumeFrame) -> None:
         self._drawn = np.array(frame.voxels)
@@ -65,25 +64,6 @@ class VolumeScene(Scene):
                 visible=self._is_shown("voxels"),
             )
 
-    def _draw_targets(self, frame: VolumeFrame) -> None:
-        """Draw the targets, pale once they were seen."""
-        if "targets" in self._nodes:
-            self._nodes.pop("targets").remove()
-        places = np.asarray(self._recording.targets, np.float32)
-        if not len(places):
-            return
-        pale = np.array(blend(TARGET, FREE, 0.35), np.uint8)
-        shades = np.where(np.asarray(frame.is_found)[:, None], pale, np.array(TARGET, np.uint8))
-        self._nodes["targets"] = self._server.scene.add_point_cloud(
-            "/targets",
-            places,
-            shades.astype(np.uint8),
-            point_size=2.0 * self._recording.robot_radius,
-            point_shape="circle",
-            precision="float32",
-            visible=self._is_shown("targets"),
-        )
-
     def _draw_goal(self) -> None:
         if self._recording.goal is None or "goal" in self._nodes:
             return
@@ -96,19 +76,23 @@ class VolumeScene(Scene):
         )
 
     def _draw_marks(self, frame: VolumeFrame) -> None:
-        """Draw a cube at each place that parts of the robot mark."""
-        side = 1.5 * self._recording.robot_radius
-        for number, (place, colour) in enumerate(self._recording.marks(frame)):
-            name, at = f"marks/{number}", tuple(place.tolist())
-            if name not in self._nodes:
-                self._nodes[name] = self._server.scene.add_box(
-                    f"/{name}",
-                    colour[:3],
-                    (side,) * 3,
-                    position=at,
-                    visible=self._is_shown("marks"),
-                )
-            self._nodes[name].position = at
+        """Draw a ball at each place that parts of the robot mark."""
+        marks = self._recording.marks(frame)
+        shown = [(*place.tolist(), *colour) for place, colour in marks]
+        if shown == self._marked:
+            return
+        self._marked = shown
+        for name in [each for each in self._nodes if each.startswith("marks/")]:
+            self._nodes.pop(name).remove()
+        for number, (place, colour) in enumerate(marks):
+            name = f"marks/{number}"
+            self._nodes[name] = self._server.scene.add_icosphere(
+                f"/{name}",
+                radius=self._recording.robot_radius,
+                color=colour[:3],
+                position=tuple(place.tolist()),
+                visible=self._is_shown(name),
+            )
 
     def _draw_robot(self, frame: VolumeFrame) -> None:
         names = self._recording.state_names
