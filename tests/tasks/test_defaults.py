@@ -449,8 +449,15 @@ DETECTOR = {"classes": ["door", "shelf"], "confusion": [[0.9, 0.1], [0.1, 0.9]]}
         ({"map": "office", 3: 4}, "a setting is named 3; accepted: text in UTF-8"),
         ({"map": ["path"]}, "setting map is .'path'."),
         ({"map": "office", "path": "a.csv"}, "the map 'office' beside the path 'a.csv'; accepted"),
-        ({"path": "track", "goal": [1, 2]}, "unknown setting goal; accepted here"),
-        ({"map": "office", "laps": 2}, "unknown setting laps; accepted here"),
+        (
+            {"path": "track", "goal": [1, 2]},
+            r"goal is \[1, 2\], which runs of path do not read; accepted: in runs of expl",
+        ),
+        ({"map": "office", "laps": 2}, "laps is 2, which runs of exploration do not read; acc"),
+        (
+            {"volume": "forest", "map_file": {"rules": "ros"}},
+            "setting map_file is .*, which runs of volume do not read; accepted: in runs of expl",
+        ),
     ],
 )
 def test_bad_entries_are_one_line(entries: dict[str, Any], message: str) -> None:

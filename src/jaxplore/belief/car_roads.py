@@ -124,6 +124,7 @@ class CarRoadmap(Roadmap):
         reach = [np.abs(each).max() for each in (table.via[..., :2], table.down, table.right)]
         margin = int(max(reach))
         beside = ((0, 0), (0, 0), (margin, margin), (margin, margin))
+        # Beyond the rim all is closed, so that a motion of any node is a slice at a fixed offset.
         closed = jnp.pad(is_closed, beside, constant_values=True)
         halves = jnp.pad(half, beside, constant_values=jnp.inf)
         _, directions, height, width = is_closed.shape
@@ -145,6 +146,8 @@ class CarRoadmap(Roadmap):
         starts = jnp.asarray([each.start for each in motions(self.radius)], jnp.int32)
         ends = jnp.asarray(np.stack([table.down, table.right, table.end], axis=-1))
         rows = (starts, ends, jnp.asarray(table.via), jnp.asarray(table.length))
+        # One motion after the other: all at once would need as many copies of the nodes as there
+        # are motions.
         prices: Array = jax.lax.map(of_motion, rows)
         return prices
 

@@ -379,6 +379,8 @@ class Perception(eqx.Module):
         if time is not None:
             _checks.of_shape("time", time, ())
         scans = as_scans(scans, len(self.sensors))
+        # Before the map: returns of what moves are taken out of the scans, so that people leave no
+        # walls.
         belief, scans = self._track(belief, scans, pose, elapsed, time)
         grid, states = belief.grid, belief.parts
         passed = jnp.asarray(elapsed, jnp.float32)
@@ -386,6 +388,8 @@ class Perception(eqx.Module):
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
             sighting = sensor.sight(grid, scan, pose, self.ground)
             grid = update_grid(grid, sighting, self.sensor_model)
+            # Parts see the map after the first scan only: it is the sensor whose information they
+            # add to.
             if index == 0:
                 given = (sensor, grid, scan, sighting.is_seen, pose, passed, now)
                 seen = Observation(*given, belief.obstacles)
@@ -393,6 +397,7 @@ class Perception(eqx.Module):
                     part.name: part.observe(own, seen) for part, own in self._list_active(states)
                 }
                 states = {**states, **known}
+        # Last, because parts may close cells, which count as walls.
         clearance = update_clearance(
             belief.clearance,
             self.window(grid, pose),

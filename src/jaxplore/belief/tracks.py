@@ -452,11 +452,15 @@ class ObstacleTracker(eqx.Module):
     ) -> tuple[Tracks, Int[Array, " K"]]:
         """Begin a track at each cluster without one, as long as there is room."""
         is_birth = is_there & (of_cluster < 0)
+        # Shapes are fixed: births take the dead rows in order, and those for which there is none go
+        # to a row that does not exist, which is dropped.
         rank = jnp.cumsum(is_birth, dtype=jnp.int32) - 1
         free = jnp.argsort(tracks.is_alive, stable=True).astype(jnp.int32)
         room = jnp.sum(~tracks.is_alive, dtype=jnp.int32)
         is_birth &= rank < room
         row = jnp.where(is_birth, free[jnp.clip(rank, 0, self.num_tracks - 1)], self.num_tracks)
+        # One return tells nothing of the speed, so it begins at 0 with the greatest speed as its
+        # deviation.
         start = jnp.diag(jnp.stack([self.position_std**2, self.max_speed**2]))
         mean = jnp.concatenate([measured, jnp.zeros_like(measured)], axis=1)
         identity = tracks.next_identity + rank

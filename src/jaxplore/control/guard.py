@@ -234,7 +234,11 @@ class MotionGuard(eqx.Module):
         stops = next_stop(state.stops, found, self.max_frozen)
         stop = stops.code
         errors = self._errors(robot, state, observed, last, period)
+        # After a stop, or while the odometry repeats itself, a difference says nothing about the
+        # model.
         is_whole = (stop == GOOD) & (before == GOOD) & ~is_same
+        # A pose after a jump is a pose again, and so is one without scans. Of a lost or frozen one
+        # the prediction goes on.
         is_pose = (stop == GOOD) | (stop == JUMPED) | (stop == BLIND)
         return state._replace(
             expected=jnp.where(is_pose, observed, state.expected),

@@ -169,6 +169,7 @@ def homing_cost(
     x, y = (-each for each in offset(state, goal))
     distance = length(x, y)
     near = jnp.where(dynamics.turning_radius > 0.0, NEAR_OF_CAR, NEAR)
+    # Behind a wall the straight line is short and the way is long: the field goes on to lead there.
     is_near = (distance < near) & (to_go < DETOUR * distance + SLACK)
     way = field.direction(position)
     inverse = 1.0 / jnp.maximum(distance, 1e-3)
@@ -178,6 +179,7 @@ def homing_cost(
     )
     sin, cos = sin_cos(yaw)
     missing = length(x, y) - (cos * x + sin * y)
+    # At the goal the way has no direction any more, and a robot would turn for nothing.
     fading = jnp.minimum(distance / FADING, 1.0)
     total = with_overrun(state, jnp.where(is_near, distance, to_go)) + turning * fading * missing
     nearness = jnp.exp(-((distance / FADING) ** 2))

@@ -171,13 +171,18 @@ def _add_lines(
     arms = _turn(np.concatenate([few[each].points for each in others]), poses[of, 2])
     normals = _turn(np.concatenate([few[each].normals for each in others]), poses[of, 2])
     points = arms + poses[of, :2]
+    # The tree holds the lines of the scan in its own frame, so it is built once and poses may
+    # change.
     away, nearest = tree.query(_turn(points - poses[node, :2], -poses[node, 2]))
     across = _turn(own.normals[nearest], poses[node, 2])
     feet = _turn(own.points[nearest], poses[node, 2])
     arms_of_node = points - poses[node, :2]
     error = ((arms_of_node - feet) * across).sum(axis=1)
     is_used = (away < 1.0) & (np.abs(error) < farthest)
+    # The two sides of a thin wall are near each other and face away: they are not one line.
     is_used &= (across * normals).sum(axis=1) > ALIGNED
+    # Weights of Geman and McClure: a pair that is far off pulls little, where a square would pull
+    # most.
     weight = (1.0 + (error / sigma) ** 2) ** -2 / (SHARED * STD**2)
     which, error, weight = which[is_used], error[is_used], weight[is_used]
     if not len(which):
@@ -185,6 +190,8 @@ def _add_lines(
     across, arms, arms_of_node = across[is_used], arms[is_used], arms_of_node[is_used]
     ahead = _rows(across, arms)
     behind = -_rows(across, arms_of_node)
+    # The points are in the order of their scans, so a scan's block of the matrix is one sum over a
+    # run of rows.
     first = np.flatnonzero(np.diff(which, prepend=-1))
     at = others[which[first]]
     here = np.full(len(at), node)

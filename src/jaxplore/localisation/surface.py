@@ -136,6 +136,8 @@ class EndPoints(eqx.Module):
         wider = jnp.maximum(jnp.asarray(noise, jnp.float32) / USUAL_NOISE, 1.0)
         following: EndPoints = jax.tree.map(lambda rows: jnp.roll(rows, -1, axis=0), self)
         apart = following.points - self.points
+        # Both lines are asked: one of them alone would take the first point behind a corner for its
+        # own.
         off = jnp.maximum(
             jnp.abs((apart * self.normals).sum(axis=1)),
             jnp.abs((apart * following.normals).sum(axis=1)),
@@ -143,6 +145,8 @@ class EndPoints(eqx.Module):
         facing = (self.normals * following.normals).sum(axis=1)
         is_one = self.is_flat & following.is_flat & (off <= ROUGH * wider) & (facing > ALIGNED)
         is_one &= jnp.hypot(*jnp.unstack(apart, axis=1)) <= 2.0 * REACH * wider
+        # The neighbour of the last beam is the first one, which a lidar that does not look all
+        # around sees elsewhere.
         if not is_full_circle:
             is_one = is_one.at[-1].set(False)
         share = jnp.arange(1, number, dtype=jnp.float32)[:, None, None] / number

@@ -154,6 +154,7 @@ class GoalChooser:
             self._dropped.append((*self.goal.pose[:2].tolist(), now + self._drop_time))
             self.num_dropped += 1
             self.goal = None
+        # A map that grows would compile anew at each size.
         padded = grid.settle().pad(power_of_two_shape(grid.shape))
         kept = None if self.goal is None or self._is_near(pose) else self._worth(padded, offset)
         if kept is not None and kept >= float(self.perception.min_information):

@@ -227,6 +227,8 @@ def plan(
 
     The model `robot` predicts the state. `tracker` tracks moving obstacles; None if nothing moves.
     """
+    # The command takes effect later than it is computed, so the plan begins where the robot will be
+    # then.
     key = jax.random.fold_in(key, inputs.number)
     start = predict_state(robot, inputs.state, inputs.sent, inputs.durations)
     start = _with_commanded_speeds(robot, start, inputs.expected)
@@ -234,6 +236,7 @@ def plan(
     points, is_point = inputs.points, inputs.is_point
     speeds = jnp.zeros(points.shape[0])
     if tracker is not None and belief.tracks is not None and belief.obstacles is not None:
+        # A point that neither a wall nor a track explains may be somebody who was not seen before.
         speeds = tracker.possible_speeds(belief.tracks, belief.clearance, points, is_point)
         later = belief.obstacles.advance(inputs.since_map)
         belief = dataclasses.replace(belief, obstacles=later)
@@ -247,6 +250,8 @@ def plan(
         after = robot.step(at, each, period)
         return after, (after, robot.twist(after, each))
 
+    # The base is sent twists, which depend on the state, and the next call begins at the state
+    # predicted here.
     _, (states, twists) = jax.lax.scan(step, start, controls)
     is_finite = (
         info.is_finite

@@ -322,11 +322,14 @@ class Robot(NamedTuple):
             place, found = localisation.follow(place, measured.motions, scans, self.sensors)
         before, now, is_mapping = place.known, found.known, localisation.localiser.is_mapping
         is_placed = jnp.isfinite(now.pose).all()
+        # On a known map a filter may find the robot elsewhere than it thought. What it had mapped
+        # there is wrong then.
         if not is_mapping:
             is_elsewhere = ~before.is_known | is_jump(before.pose, now.pose)
             belief = self._reset(own.belief, is_elsewhere & now.is_known)
             own = own._replace(belief=belief)
             is_placed = sight.is_placed & now.is_known
+        # A scan that does not fit is not mapped, see `is_mapped_after`; without a guard all are.
         if own.unfit is None:
             is_fit = is_placed
         else:
@@ -337,6 +340,7 @@ class Robot(NamedTuple):
                 points = own.points._replace(misfit=misfit)
                 own = own._replace(points=points)
             is_fit = is_placed & is_mapped_after(after)
+            # The pose that such a scan gave is dropped too: the map would follow it.
             if is_mapping:
                 found = jax.tree.map(functools.partial(jnp.where, is_fit), found, place)
         belief = jax.lax.cond(

@@ -198,6 +198,8 @@ def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = N
         for rows in zip(*((each.pose, each.odometry) for each in readings), strict=True)
     )
     offset = lines.offsets["rear" if kind == "RLASER" else "front"]
+    # In a corrected log both columns hold the corrected pose. The odometry is then in its lines
+    # ODOM.
     if is_mounted(poses, odometry):
         found = odometry_by_lines(lines, kind, readings, poses)
         if found is not None:

@@ -1,16 +1,18 @@
 """The registry of kinds of tasks. Nothing else lists them."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from jaxplore._files import yaml_beside
 from jaxplore._spelling import match_spelling
-from jaxplore._text import printable_path
+from jaxplore._text import printable_path, short_repr
 from jaxplore.report.recording import Recording
-from jaxplore.settings.readers import given_leaves, list_unread, refuse, remove
-from jaxplore.settings.sections import RunSettings
+from jaxplore.settings.readers import given_leaves, list_unread, refuse, remove, section_class
+from jaxplore.settings.sections import RunSettings, find_field
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.tasks.exploration.kind import EXPLORATION
 from jaxplore.tasks.kind import Entries, Kind, OnMaps, Shown
@@ -68,9 +70,34 @@ def make_settings(entries: dict[str, Any]) -> RunSettings:
             or a setting that the run does not read; one line that names it.
     """
     entries = _with_selector(entries)
-    settings = find_kind(entries).make_settings(entries)
+    settings = _check(find_kind(entries), entries)
     refuse(settings, list_unread(settings, entries))
     return settings
+
+
+def _check(kind: Kind, entries: Entries) -> RunSettings:
+    """Check entries against a kind of task; a setting of another kind is told with that kind."""
+    for name, value in _unknown(kind.settings, entries):
+        having = [each.name for each in KINDS.values() if find_field(each.settings, name)]
+        if having:
+            raise ValueError(
+                f"setting {name} is {short_repr(value)}, which runs of {kind.name} do not read; "
+                f"accepted: in runs of {', '.join(having)}"
+            )
+    return kind.make_settings(dict(entries))
+
+
+def _unknown(
+    section: type[BaseModel], entries: Entries, prefix: str = ""
+) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted names and the values of entries that a section does not have."""
+    for name, value in entries.items():
+        field = section.model_fields.get(name)
+        inner = None if field is None else section_class(field.annotation)
+        if field is None:
+            yield f"{prefix}{name}", value
+        elif inner is not None and isinstance(value, Mapping):
+            yield from _unknown(inner, value, f"{prefix}{name}.")
 
 
 def keep_read[Name](runs: Mapping[Name, Entries]) -> dict[Name, dict[str, Any]]:
@@ -81,7 +108,7 @@ def keep_read[Name](runs: Mapping[Name, Entries]) -> dict[Name, dict[str, Any]]:
             raises.
     """
     given = {name: _with_selector(entries) for name, entries in runs.items()}
-    checked = {name: find_kind(each).make_settings(each) for name, each in given.items()}
+    checked = {name: _check(find_kind(each), each) for name, each in given.items()}
     unread = {name: list_unread(each, given[name]) for name, each in checked.items()}
     read = {
         key

@@ -342,6 +342,8 @@ class AnomalyTest(Part):
             pose: pose (x, y, yaw) of the robot [m, m, rad].
             is_left_out: (B,) beams that say nothing; none when absent.
         """
+        # The beams are followed through the map of before, not through the one that shows the
+        # change.
         known = grid.with_probability(state.known)
         turn = pose[2] - grid.frame.origin[2]
         angles = turn + jnp.asarray(sensor.beam_angles)
@@ -358,6 +360,8 @@ class AnomalyTest(Part):
             scan.is_return,
             grid.resolution,
         )
+        # Cells off the map, and beams that say nothing, get an index behind the last cell, which
+        # the scatter drops: shapes stay fixed.
         height, width = grid.shape
         index = cells.cell[..., 0] * width + cells.cell[..., 1]
         is_counted = grid.contains(cells.cell)

@@ -123,6 +123,8 @@ class Talk(NamedTuple):
         now = jnp.zeros(()) if time is None else time
         known_parts = gather_parts(first, [row[2] for row in rows])
         told, pose = stack_trees([row[3] for row in rows]), first.robot.pose(first.start)
+        # The judge looks at what all know together as if one robot had learned it, so it begins
+        # anew each time.
         judged = {
             each.name: each.judge(
                 each.unite(told[each.name], pose),
@@ -204,6 +206,8 @@ class Talk(NamedTuple):
         def tell(known: tuple[Obstacles, ...], *_: Any) -> Any:
             links = self.links(state, moment)
             velocities = self._told_velocities(state, observed, team)
+            # Each obstacle costs every rollout a distance, so nothing is told of robots that cannot
+            # meet.
             near = self._may_meet(places, team.plans)
             after = []
             for index, obstacles in zip(self.share.mine, known, strict=True):
@@ -226,6 +230,8 @@ class Talk(NamedTuple):
 
         obstacles = tuple(each.belief.obstacles for each in state.members)
         before = Known(state.coverage, team.coverages, state.judged)
+        # Between two scans nothing is told, and what is known together stays as it was: no map is
+        # read.
         known, together, links = jax.lax.cond(
             moment.step % self.members[0].steps_per_scan == 0,
             tell,

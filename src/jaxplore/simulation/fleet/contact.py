@@ -53,6 +53,8 @@ def stop_touching(
         others = jnp.where(stopped[:, None], places[0], places[1])
         return stopped | (gaps(places[1], others) < 0.0).any(axis=1)
 
+    # Whoever stops may stand in the way of another one, so the set is grown until it does not
+    # change: at most N times, because none leaves it.
     def more(carry: tuple[Bool[Array, " N"], Bool[Array, " N"]]) -> tuple[Array, Array]:
         return carry[1], find_touching(carry[1])
 
