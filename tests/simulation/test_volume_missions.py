@@ -87,7 +87,9 @@ def test_it_backs_off_to_see_a_goal_that_it_comes_upon_around_a_corner(controlle
     seen = jx.VolumePerception(
         [CAMERA], SIDE, QUADROTOR.radius, goal=goal, goal_heading=1.0, parts=[BOXES]
     )
-    given = volume(start=START, goal=jx.Goal(goal, heading=1.0), perception=seen, truths=[PEOPLE])
+    # Nobody walks where the robot backs off to: the camera looks at the goal then.
+    far = MovingObstacles([MovingObstacle(((7.4, 1.0), (7.4, 2.4)), 0.4, 0.25)])
+    given = volume(start=START, goal=jx.Goal(goal, heading=1.0), perception=seen, truths=[far])
     around = record_run(controller, given, 600, key=jax.random.key(1), num_trajectories=0)
     metrics = around.metrics()
     assert metrics.is_finished
@@ -154,14 +156,15 @@ def test_people_touch_what_is_lower_than_their_heads() -> None:
 
 
 def test_a_robot_is_told_of_whom_it_sees() -> None:
-    # One person before the camera, one behind it, and one behind the half wall.
-    places = ((2.2, 2.0), (0.3, 2.0), (4.2, 0.8))
+    # One person before the camera, one behind it, one behind the half wall, and one at the edge of
+    # the view, which is 40 degrees beside the heading: the middle is 42 degrees beside it.
+    places = ((2.2, 2.0), (0.3, 2.0), (4.2, 0.8), (2.115, 3.004))
     people = MovingObstacles([MovingObstacle((place,), 0.0, 0.2) for place in places])
     given = volume(start=(1.0, 2.0, 1.2, 0.0), truths=[people], tracking_noise=(0.0, 0.0))
     world, at = given.world, jnp.array([1.0, 2.0, 1.2])
     there = Cylinders.of(people.at(jnp.zeros(())), world)
     told = there.tell(given.sensors, world, at, jnp.eye(3), jnp.zeros(2), jax.random.key(0))
-    np.testing.assert_array_equal(told.is_seen, [True, False, False])
+    np.testing.assert_array_equal(told.is_seen, [True, False, False, True])
     np.testing.assert_allclose(told.positions, places, atol=1e-6)
     # Rays that end at somebody are shorter, and no returns.
     scan = CAMERA.scan(world, at, jnp.eye(3), key=jax.random.key(0))
@@ -213,6 +216,21 @@ def test_the_cost_of_the_way_is_what_it_says() -> None:
     braking = 2.0 * max(0.0, 4.0 / (2.0 * 0.25 * 9.81) / 0.5 - way)
     found = float(VolumeGoalCost(0.5, 50.0).stage(state, *nothing))
     assert found == pytest.approx(way + braking + 0.5 * 0.6 * (1.0 - math.cos(0.4)), abs=1e-4)
+
+
+def test_flying_where_the_camera_does_not_look_costs_fourfold_among_people() -> None:
+    given = volume(start=START, goal=GOAL, moving_obstacles=PEOPLE)
+    _, belief = given.init(None)
+    # 1 m/s to the left and 2 m/s backwards; nobody has been seen yet.
+    values = QUADROTOR.at_pose(4.0, 2.0, 0.0, -1.2).at[3:5].set(jnp.array([-2.0, 1.0]))
+    state = jx.State(values, QUADROTOR)
+    costs = []
+    for has_people in (True, False):
+        flying = jx.volume_explorer(
+            QUADROTOR, horizon=20, has_goal=True, has_moving_obstacles=has_people, blind_weight=0.5
+        )
+        costs.append(float(flying.cost.stage(state, jnp.zeros(4), jnp.zeros(()), belief)))
+    assert 20 * (costs[0] - costs[1]) == pytest.approx(3 * 0.5 * (2.0**2 + 0.6 * 1.0**2), rel=1e-4)
 
 
 def _with_box(place) -> jx.VolumePerception:

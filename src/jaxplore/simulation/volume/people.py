@@ -19,7 +19,9 @@ HEIGHT = 1.8
 ANKLE = 0.3
 """Height over that face above which what is solid stands in their way [m]."""
 SHOWN = (0.4, 0.9, 1.4)
-"""Heights at which a sensor that sees the middle of somebody sees them [m]."""
+"""Heights at which a sensor that sees a part of somebody sees them [m]."""
+PARTS = (-0.9, -0.45, 0.0, 0.45, 0.9)
+"""Places of these parts across the line of sight to the middle, in radii."""
 
 
 class Cylinders(NamedTuple):
@@ -78,16 +80,20 @@ class Cylinders(NamedTuple):
         noise: Float[Array, "2"],
         key: Key,
     ) -> Told:
-        """Measure those of which a sensor sees the middle at some height.
+        """Measure those of which a sensor sees a part: at some height, on either side.
 
         `noise` are standard deviations of positions [m] and velocities [m/s].
         """
         number = self.radii.shape[0]
-        heights = self.floor + jnp.asarray(SHOWN)
-        columns = jnp.repeat(self.positions, len(SHOWN), axis=0)
-        points = jnp.column_stack([columns, jnp.tile(heights, number)])
+        gap = self.positions - position[:2]
+        across = jnp.stack([-gap[:, 1], gap[:, 0]], axis=1)
+        across = across / jnp.maximum(jnp.linalg.norm(gap, axis=1), 1e-3)[:, None]
+        shifts = (self.radii[:, None] * jnp.asarray(PARTS))[..., None] * across[:, None]
+        columns = jnp.repeat((self.positions[:, None] + shifts).reshape(-1, 2), len(SHOWN), axis=0)
+        heights = jnp.tile(self.floor + jnp.asarray(SHOWN), number * len(PARTS))
+        points = jnp.column_stack([columns, heights])
         seen = jnp.stack([each.sees(world, position, turn, points) for each in sensors])
-        is_seen: Bool[Array, " M"] = seen.any(axis=0).reshape(number, len(SHOWN)).any(axis=1)
+        is_seen: Bool[Array, " M"] = seen.any(axis=0).reshape(number, -1).any(axis=1)
         keys = jax.random.split(jax.random.fold_in(key, START_OF_MOVING), 2)
         shape = self.positions.shape
         return Told(
