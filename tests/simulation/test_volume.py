@@ -26,6 +26,7 @@ from jaxplore.maps.generators.volumes import START
 from jaxplore.report.drawing.colours import TARGET
 from jaxplore.report.volume.recording import PALE, TRAIL
 from jaxplore.simulation.loop import run_chunk
+from jaxplore.simulation.volume.true_volume import TrueVolume
 
 pytestmark = pytest.mark.long
 
@@ -205,7 +206,7 @@ def test_a_replay_shows_its_voxels_in_space(run) -> None:
 
 def test_the_clearance_is_the_distance_to_the_nearest_cube() -> None:
     given = volume()
-    clearance = eqx.filter_jit(given.clearance)
+    clearance = eqx.filter_jit(TrueVolume(given.world, None).clearance)
     for x, y, z, wanted in (
         (1.2, 2.0, 1.2, 0.7),  # to the wall at x = 0.2 m
         (2.5, 1.0, 1.2, 0.2),  # to the half wall at x = 3.0 m
@@ -214,7 +215,7 @@ def test_the_clearance_is_the_distance_to_the_nearest_cube() -> None:
         (2.0, 2.0, 0.4, -0.1),  # in contact with the floor
     ):
         state = QUADROTOR.at_pose(x, y, 0.0, -z)
-        assert float(clearance(state)) == pytest.approx(wanted, abs=1e-5)
+        assert float(clearance(QUADROTOR, state, given.reach)) == pytest.approx(wanted, abs=1e-5)
 
 
 def test_a_contact_stops_the_robot() -> None:

@@ -8,10 +8,11 @@ from tests.kinds import volume
 
 from jaxplore.belief.gain import Gain
 from jaxplore.simulation.volume.scenario import VolumeScenario
+from jaxplore.simulation.volume.true_volume import TrueVolume
 
 TARGETS = ((2.5, 2.0, 1.2), (6.5, 1.0, 1.2))
 """One ahead of the start, and one behind the wall."""
-find = eqx.filter_jit(VolumeScenario.find_targets)
+find = eqx.filter_jit(TrueVolume.sees)
 
 
 @pytest.fixture(scope="module")
@@ -21,10 +22,9 @@ def search() -> VolumeScenario:
 
 def look(search, x: float, y: float, yaw: float) -> list[bool]:
     """Return which targets are seen from a place at the height of the start."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    turn = jnp.asarray([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], jnp.float32)
-    place = jnp.asarray([x, y, 1.2], jnp.float32)
-    return np.asarray(find(search, place, turn, jnp.int32(0))).tolist()
+    state = search.robot.at_pose(x, y, yaw, -1.2)
+    truth = TrueVolume(search.world, None)
+    return np.asarray(find(truth, search.sensors, state, search.targets)).tolist()
 
 
 def test_a_target_is_found_where_the_camera_sees_it(search) -> None:

@@ -31,7 +31,6 @@ from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
-from jaxplore.control.stops import BLIND, GOOD, MISFIT
 from jaxplore.dynamics.goal_check import (
     GOAL_RADIUS,
     GOAL_SPEED,
@@ -39,17 +38,16 @@ from jaxplore.dynamics.goal_check import (
     GoalCheck,
     Motion,
 )
-from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
+from jaxplore.dynamics.quadrotor import Quadrotor, position_upwards
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
-from jaxplore.maps.window import read_first
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
-from jaxplore.robot.clock import whole_steps
-from jaxplore.robot.robot import FITTING, is_mapped_after, tell, unfit_after
-from jaxplore.robot.volume_points import num_volume_points, volume_points
-from jaxplore.sensing.volume import VolumeSensor
+from jaxplore.robot.clock import when_due, whole_steps
+from jaxplore.robot.robot import Told
+from jaxplore.robot.volume import VolumeMeasurement, VolumeRobot, VolumeRobotState, VolumeSight
+from jaxplore.sensing.volume import VolumeScan, VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
@@ -59,6 +57,7 @@ from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
 from jaxplore.simulation.volume.observable import find_fitting_places, observable
 from jaxplore.simulation.volume.people import Cylinders
+from jaxplore.simulation.volume.true_volume import TrueVolume
 
 KEEP_OUT = "keep_out"
 """Name of the part of boxes that the robot must not enter."""
@@ -67,24 +66,26 @@ TOUCHING = 1.0
 
 
 class VolumeState(NamedTuple):
-    """State of the exploration of a volume.
+    """State of the exploration of a volume: what is true, what the robot knows, what is judged.
 
-    `num_known` observable voxels are known to be free, and `gain` is the last rise of their share.
-    `is_seen` (M,) says which targets have been seen. `motion` is that of the last step; None
-    without a goal. `moving` are the true moving obstacles of the run; None without any. `points`
-    are of the newest scan, and `unfit` is for how long scans have not fitted the map [s], negative
-    while they do; both are None without a guard.
+    `own` is what the robot knows. `num_known` observable voxels are known to be free, and `gain` is
+    the last rise of their share. `is_seen` (M,) says which targets have been seen. `motion` is that
+    of the last step; None without a goal. `moving` are the true moving obstacles of the run; None
+    without any.
     """
 
     robot: StateVector
-    belief: VolumeBelief
+    own: VolumeRobotState
     num_known: Count
     gain: Gain
     is_seen: Bool[Array, " M"]
     motion: Motion | None = None
     moving: MovingObstacles | None = None
-    points: ScanPoints | None = None
-    unfit: Scalar | None = None
+
+    @property
+    def belief(self) -> VolumeBelief:
+        """What the robot believes."""
+        return self.own.belief
 
 
 class VolumeScenario(Scenario):
@@ -267,15 +268,17 @@ class VolumeScenario(Scenario):
             obstacles = Obstacles.unseen(moving.radius)
             belief = dataclasses.replace(belief, obstacles=obstacles)
             moving = moving if key is None else moving.at_random_phase(key)
-        state = VolumeState(self.start, belief, known, gain, is_seen, motion, moving)
-        if self.guard is not None:
-            points = ScanPoints.blank(num_volume_points(self.sensors), 0.0, dimensions=3)
-            state = state._replace(points=points, unfit=jnp.asarray(FITTING))
-        return state, belief
+        own = self.onboard.init(belief, is_guarded=self.guard is not None)
+        return VolumeState(self.start, own, known, gain, is_seen, motion, moving), belief
+
+    @property
+    def onboard(self) -> VolumeRobot:
+        """What runs on board of the robot, which knows no truth."""
+        return VolumeRobot(self.robot, self.sensors, self.perception)
 
     def scan_points(self, state: VolumeState, moment: Moment | None = None) -> ScanPoints:
         """Return the newest scan for the guard, with the room of the map."""
-        points = state.points
+        points = state.own.points
         if points is None:
             return ScanPoints.blank(1)
         if moment is None:
@@ -287,96 +290,99 @@ class VolumeScenario(Scenario):
         self, state: VolumeState, moment: Moment, key: Key
     ) -> tuple[VolumeState, VolumeBelief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        observed, is_placed, unfit = moment.observed, None, state.unfit
-        if moment.measured is not None and moment.guard is not None:
-            # While only scans speak against a pose, they say there when they fit again.
-            stop = moment.guard.stop
-            is_trusted = (stop == GOOD) | (stop == MISFIT) | (stop == BLIND)
-            is_placed = is_trusted & jnp.isfinite(moment.measured).all()
-            observed = jnp.where(is_placed, moment.measured, moment.guard.expected)
-        at, turn = position_upwards(observed), attitude_upwards(observed)
-        elapsed = self.control_period * self.steps_per_field.astype(jnp.float32)
-        truly, truly_turned = position_upwards(state.robot), attitude_upwards(state.robot)
-        people = self._people(state, moment.time)
-
-        interval = self.control_period * self.steps_per_scan.astype(jnp.float32)
-        # None, which has no arrays, in place of what only a guard needs.
-        type Given = tuple[VolumeBelief, Count, ScanPoints | None, Scalar | None]
-
-        def scan_once(given: Given) -> Given:
-            before, known, points, unfit = given
-            keys, world = jax.random.split(key, len(self.sensors)), self.world_at(moment.step)
-            scans = [
-                sensor.scan(world, truly, truly_turned, key=each)
-                for sensor, each in zip(self.sensors, keys, strict=True)
-            ]
-            if people is not None:
-                scans = [
-                    people.block(scan, sensor, truly, truly_turned)
-                    for scan, sensor in zip(scans, self.sensors, strict=True)
-                ]
-                assert before.obstacles is not None
-                seen = self.sensors, world, truly, truly_turned, self.tracking_noise, key
-                told = tell(before.obstacles, people.tell(*seen))
-                before = dataclasses.replace(before, obstacles=told)
-
-            def map_scans(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
-                before, known = given
-                window = self.perception.scan_window(before.grid, at, turn)
-                old, log_odds = read_first(window, before.grid.log_odds)
-                before = eqx.tree_at(lambda each: each.grid.log_odds, before, log_odds)
-                belief = self.perception.update(before, at, turn, scans)
-                wanted = belief.place_window(window).read(self.observable)
-                now, then = (
-                    jnp.sum((each < FREE_BELOW) & wanted, dtype=jnp.int32)
-                    for each in (window.read(belief.grid.log_odds), old)
-                )
-                return belief, known + now - then
-
-            if unfit is None:
-                return *map_scans((before, known)), points, unfit
-            assert is_placed is not None
-            assert moment.measured is not None
-            # A stopped robot brakes by its scans, which need no place in the map.
-            poses = moment.measured, moment.guard.expected
-            points = volume_points(before, self.sensors, scans, *poses, moment.time, interval)
-            unfit = jnp.where(is_placed, unfit_after(unfit, points.misfit, interval), FITTING)
-            is_mapped = is_placed & is_mapped_after(unfit)
-            mapped = jax.lax.cond(is_mapped, map_scans, lambda same: same, (before, known))
-            return *mapped, points, unfit
-
-        is_due = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
-        belief, stored = state.belief.split()
-        if belief.obstacles is not None:
-            later = belief.obstacles.advance(self.control_period)
-            belief = dataclasses.replace(belief, obstacles=later)
-        given = belief, state.num_known, state.points, unfit
-        belief, known, points, unfit = jax.lax.cond(is_due, scan_once, lambda same: same, given)
-        belief, stored = eqx.combine(belief, stored).store_window().split()
-
-        def with_fields(old: VolumeBelief) -> VolumeBelief:
-            heading = self.robot.heading(observed)
-            whole = eqx.combine(old, stored)
-            return self.perception.update_fields(whole, at, heading, elapsed).split()[0]
-
-        is_new = moment.step % self.steps_per_field == 0
-        if is_placed is not None:
-            is_new = is_new & is_placed
-        belief = jax.lax.cond(is_new, with_fields, lambda same: same, belief)
-        belief = eqx.combine(belief, stored)
-        is_seen = state.is_seen
-        if is_seen.size:
-            is_seen = jax.lax.cond(
-                is_due,
-                lambda seen: seen | self.find_targets(truly, truly_turned, moment.step),
-                lambda same: same,
-                is_seen,
-            )
+        onboard, measured = self.onboard, self.measure(state, moment, key)
+        own, sight = onboard.examine(state.own, measured)
+        own = onboard.track_told(own, measured)
+        before, own = self._count_before(own, measured, sight)
+        own = onboard.map_scans(own, measured, sight)
+        (after,) = self._count_known(own.belief, measured, sight)
+        own = onboard.update_fields(own, measured, sight)
         state = state._replace(
-            belief=belief, num_known=known, is_seen=is_seen, points=points, unfit=unfit
+            own=own,
+            num_known=state.num_known + after - before,
+            is_seen=self._find_targets(state, moment, measured),
         )
         gain = state.gain.update(self.coverage(state), self.control_period)
-        return state._replace(gain=gain), belief
+        return state._replace(gain=gain), own.belief
+
+    def measure(self, state: VolumeState, moment: Moment, key: Key) -> VolumeMeasurement:
+        """Return what the robot measures in the true volume.
+
+        Odometry faults are in the observed state of the moment: scans are taken in the true state
+        and mapped in the observed one, so they distort the map.
+        """
+        truth, robot, sensors = (
+            self.truth(state, moment.step, moment.time),
+            state.robot,
+            self.sensors,
+        )
+
+        def take() -> tuple[tuple[VolumeScan, ...], Told | None]:
+            told = truth.tell(sensors, robot, self.tracking_noise, key)
+            return truth.scans(sensors, robot, key), told
+
+        is_due = moment.step % self.steps_per_scan == 0
+        # What is not due is not read.
+        blank = jax.tree.map(
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(take)
+        )
+        scans, told = when_due(is_due, ~moment.is_blind, lambda *_: take(), blank)
+        period = self.control_period
+        return VolumeMeasurement(
+            moment.observed if moment.measured is None else moment.measured,
+            moment.is_blind,
+            scans,
+            is_due,
+            period * self.steps_per_scan.astype(jnp.float32),
+            moment.step % self.steps_per_field == 0,
+            period * self.steps_per_field.astype(jnp.float32),
+            period,
+            moment.time,
+            moment.guard,
+            told,
+        )
+
+    def _count_known(
+        self, belief: VolumeBelief, measured: VolumeMeasurement, sight: VolumeSight
+    ) -> tuple[Count]:
+        """Count the observable voxels that are known to be free, of those that scans may change, if
+        they are taken."""
+
+        def count(_: Count) -> tuple[Count]:
+            window = self.perception.scan_window(belief.grid, *sight.place)
+            wanted = belief.place_window(window).read(self.observable)
+            is_known = (window.read(belief.grid.log_odds) < FREE_BELOW) & wanted
+            return (jnp.sum(is_known, dtype=jnp.int32),)
+
+        nothing = (jnp.zeros((), jnp.int32),)
+        return when_due(measured.is_scan_due, sight.is_taken, count, nothing)
+
+    def _count_before(
+        self, own: VolumeRobotState, measured: VolumeMeasurement, sight: VolumeSight
+    ) -> tuple[Count, VolumeRobotState]:
+        """Count the known voxels before the robot maps its scans.
+
+        What the robot knows is returned as well, and depends on the count: nothing reads the old
+        map any more, so it is changed in place. XLA would copy it otherwise.
+        """
+        (count,) = self._count_known(own.belief, measured, sight)
+        barrier = jax.lax.optimization_barrier
+        count, log_odds = barrier((count, own.belief.grid.log_odds))  # type: ignore[no-untyped-call]
+        belief = eqx.tree_at(lambda each: each.grid.log_odds, own.belief, log_odds)
+        return count, own._replace(belief=belief)
+
+    def _find_targets(
+        self, state: VolumeState, moment: Moment, measured: VolumeMeasurement
+    ) -> Bool[Array, " M"]:
+        """Return which targets have been seen."""
+        if not state.is_seen.size:
+            return state.is_seen
+        truth = self.truth(state, moment.step, moment.time)
+
+        def find(seen: Bool[Array, " M"]) -> tuple[Bool[Array, " M"]]:
+            return (seen | truth.sees(self.sensors, state.robot, self.targets),)
+
+        return when_due(measured.is_scan_due, ~moment.is_blind, find, (state.is_seen,))[0]
 
     def advance(
         self, state: VolumeState, control: ControlVector, moment: Moment, info: Info
@@ -386,19 +392,15 @@ class VolumeScenario(Scenario):
         If the move would touch something solid, the robot stops instead, and the step counts as a
         collision.
         """
-        world = self.world_at(moment.step)
         moved = self.robot.step(state.robot, control, self.control_period)
-        is_finite = jnp.all(jnp.isfinite(moved))
         # People move during the step as well, so contact is with where they are at its end.
-        people = self._people(state, moment.time + self.control_period)
-        is_collision = is_finite & (self._room(moved, world, people) < 0.0)
-        after = jnp.where(is_finite, moved, state.robot)
-        after = jnp.where(is_collision, self._stop(state.robot), after)
+        truth = self.truth(state, moment.step, moment.time + self.control_period)
+        after, is_collision = truth.check_move(self.robot, state.robot, moved, self.reach)
         record = VolumeRecord(
             state=after,
             control=control,
             coverage=self.coverage(state),
-            clearance=self._room(after, world, people),
+            clearance=truth.clearance(self.robot, after, self.reach),
             is_collision=is_collision,
             effective_sample_size=info.effective_sample_size,
             is_finite=info.is_finite,
@@ -410,20 +412,6 @@ class VolumeScenario(Scenario):
             motion = Motion.between(self.robot, state.robot, after, self.control_period)
             state = state._replace(motion=motion)
         return state._replace(robot=after), record
-
-    def find_targets(
-        self, position: Float[Array, "3"], rotation: Float[Array, "3 3"], step: Count
-    ) -> Bool[Array, " M"]:
-        """Return which targets the sensors see.
-
-        Args:
-            position: true position (x, y, z) of the robot, with z up [m].
-            rotation: rotation from its body to the world.
-            step: number of steps since the start, for walls that appear.
-        """
-        world = self.world_at(step)
-        views = [each.sees(world, position, rotation, self.targets) for each in self.sensors]
-        return jnp.stack(views).any(axis=0)
 
     def is_unfinished(self, state: VolumeState) -> Flag:
         """Check whether the exploration is neither finished nor given up."""
@@ -455,45 +443,16 @@ class VolumeScenario(Scenario):
         """Return the share of the observable volume that is known to be free."""
         return state.num_known.astype(jnp.float32) / self.num_observable
 
-    def world_at(self, step: Count) -> VoxelGrid:
-        """Return the true world in a step, with the walls that have appeared."""
-        if self.faults is None:
-            return self.world
-        return self.faults.world(self.world, self.control_period * step.astype(jnp.float32))
-
-    def clearance(self, state: StateVector, world: VoxelGrid | None = None) -> Scalar:
-        """Return the distance from the robot's edge to the nearest solid voxel [m], up to a reach.
-
-        Args:
-            state: (nx,) state of the robot.
-            world: the true world then; that of the start when absent.
-        """
-        world = self.world if world is None else world
-        grid = world.to_grid(position_upwards(state))
-        centre = jnp.floor(jnp.where(jnp.isfinite(grid), grid, 0.0)).astype(jnp.int32)
-        reach = self.reach
-        offsets = jnp.stack(
-            jnp.meshgrid(*[jnp.arange(-reach, reach + 1)] * 3, indexing="ij")
-        ).reshape(3, -1)
-        voxels = centre[:, None] + offsets
-        # Off the volume nothing is known to be free.
-        solid = world.at(voxels, outside=0.0) >= FREE_BELOW
-        low = voxels.astype(grid.dtype)
-        # Distance from the centre of the robot to each voxel, which is a cube.
-        gap = jnp.maximum(jnp.maximum(low - grid[:, None], grid[:, None] - low - 1.0), 0.0)
-        squared = jnp.where(solid, jnp.sum(gap * gap, axis=0), float(reach**2))
-        return jnp.sqrt(jnp.min(squared)) * world.resolution - self.robot.radius
-
-    def _people(self, state: VolumeState, time: Scalar) -> Cylinders | None:
-        """Return the moving obstacles at a time since the start [s]; None without any."""
-        return None if state.moving is None else Cylinders.of(state.moving, self.world, time)
-
-    def _room(self, state: StateVector, world: VoxelGrid, people: Cylinders | None) -> Scalar:
-        """Return the distance from the robot's edge to the nearest solid voxel or person [m]."""
-        room = self.clearance(state, world)
-        if people is None:
-            return room
-        return jnp.minimum(room, people.gap(position_upwards(state)) - self.robot.radius)
+    def truth(self, state: VolumeState, step: Count, time: Scalar) -> TrueVolume:
+        """Return the true volume at a time since the start [s], with the walls that have appeared
+        before a step."""
+        world = self.world
+        if self.faults is not None:
+            elapsed = self.control_period * step.astype(jnp.float32)
+            world = self.faults.world(world, elapsed)
+        moving = state.moving
+        people = None if moving is None else Cylinders.of(moving, self.world, time)
+        return TrueVolume(world, people)
 
     def frame(
         self, state: VolumeState, moment: Moment, inspect: Inspect | None, key: Key
@@ -567,11 +526,6 @@ class VolumeScenario(Scenario):
         pose = jnp.append(position_upwards(state.robot), heading)
         there: Flag = check.is_reached(pose, state.motion)
         return there
-
-    def _stop(self, state: StateVector) -> StateVector:
-        """Return the state of a robot that keeps its position and attitude, at rest."""
-        still = jnp.asarray([name.startswith(("v", "w")) for name in self.robot.state_names])
-        return jnp.where(still, 0.0, state)
 
 
 def voxel_states(log_odds: Float[Array, "*N"]) -> UInt8[Array, "*N"]:
