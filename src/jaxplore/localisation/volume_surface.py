@@ -7,23 +7,29 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplore._types import ArrayLike, Scalar
 from jaxplore.geometry.level_motion import LevelPose, turn
-from jaxplore.localisation.surface import AHEAD, BEHIND, FADING, LEAST_WEIGHT, MOST_WEIGHT
+from jaxplore.localisation.surface import (
+    AHEAD,
+    BEHIND,
+    FADING,
+    LEAST_WEIGHT,
+    MOST_WEIGHT,
+    ROUGH_WEIGHT,
+)
 from jaxplore.maps.voxel_grid import VoxelGrid, contains, flat_index
 from jaxplore.sensing.volume import Rotation, VolumeScan, VolumeSensor
 
-REACH = 0.3
-"""Distance of the neighbours that say how a surface lies [m]: more than the noise of ranges."""
+REACH = 0.1
+"""Distance of the neighbours that say how a surface lies [m]. Small faces are known as well."""
 BESIDE = 2
 """Number of neighbours to either side, across and along."""
-FLAT = 0.25
-"""Greatest share of the spread across a plane in that along it, as standard deviations."""
+FLAT = 0.2
+"""Greatest spread of neighbours across a plane, as a share of that along it."""
 LEAST_NOISE = 0.01
-"""Least standard deviation of a point [m]: errors of the map."""
+"""Standard deviation of the error of a mapped surface that more scans do not lessen [m]."""
+TILT_NOISE = 0.003
+"""Least noise of a point that is taken for the error of its normal [m]."""
 FEWEST = 6
-ROUGH_WEIGHT = 0.3
-TILT_NOISE = 0.01
 """Fewest neighbours that make a plane."""
 
 
@@ -94,11 +100,11 @@ class VolumePoints(eqx.Module):
         away = jnp.linalg.norm(others - points[:, None], axis=-1)
         is_used &= is_return[index] & is_return[:, None] & (away <= 2.0 * REACH)
         count = is_used.sum(axis=1, dtype=jnp.float32)
-        share = is_used / jnp.maximum(count, 1.0)[:, None]
+        share = jnp.where(is_used, 1.0, 0.0) / jnp.maximum(count, 1.0)[:, None]
         anchors = jnp.einsum("nk,nkd->nd", share, others)
         off = others - anchors[:, None]
         spread = jnp.einsum("nk,nkd,nke->nde", share, off, off)
-        normal, thin, thick = _smallest_axis(spread)
+        normal, thin, thick = smallest_axis(spread)
         towards = jnp.where((normal * ways).sum(axis=1) > 0.0, -1.0, 1.0)
         normals = towards[:, None] * normal
         is_flat = (count >= FEWEST) & (thin <= FLAT**2 * thick)
@@ -110,8 +116,7 @@ class VolumePoints(eqx.Module):
         normals = jnp.where(is_flat[:, None], normals, -ways)
         anchors = jnp.where(is_flat[:, None], anchors, points)
         tilt = jnp.where(is_flat, tilt, 0.0)
-        is_point = is_return & ((ROUGH_WEIGHT > 0) | is_flat)
-        return cls(points, anchors, normals, is_point, is_flat & is_point, tilt, variance)
+        return cls(points, anchors, normals, is_return, is_flat & is_return, tilt, variance)
 
     def every(self, step: int) -> "VolumePoints":
         """Return every so many of the points."""
@@ -119,7 +124,7 @@ class VolumePoints(eqx.Module):
         return same
 
 
-def _smallest_axis(
+def smallest_axis(
     spread: Float[Array, "N 3 3"],
 ) -> tuple[Float[Array, "N 3"], Float[Array, " N"], Float[Array, " N"]]:
     """Return the axis (N, 3) of the smallest variance, that variance, and the middle one.
@@ -252,7 +257,7 @@ class VolumeSurface(eqx.Module):
         rows = flat[:, 1] - flat[:, 0]
         by_y = rows[0] * (1 - w) + rows[1] * w
         steps = values[:, :, 1] - values[:, :, 0]
-        by_x = (steps[:, 0] * (1 - v) + steps[:, 1] * v)
+        by_x = steps[:, 0] * (1 - v) + steps[:, 1] * v
         by_x = by_x[0] * (1 - w) + by_x[1] * w
         slope = jnp.stack([by_x, by_y, by_z], axis=1) / self.resolution
         known = is_known[:, None]

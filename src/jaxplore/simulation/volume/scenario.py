@@ -38,7 +38,9 @@ from jaxplore.dynamics.goal_check import (
     GoalCheck,
     Motion,
 )
-from jaxplore.dynamics.quadrotor import Quadrotor, position_upwards
+from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
+from jaxplore.geometry.level_motion import LevelPose, between, compose
+from jaxplore.localisation.volume_localiser import VolumeLocaliser
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
@@ -46,11 +48,18 @@ from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.robot.clock import when_due, whole_steps
 from jaxplore.robot.robot import Told
-from jaxplore.robot.volume import VolumeMeasurement, VolumeRobot, VolumeRobotState, VolumeSight
+from jaxplore.robot.volume import (
+    VolumeMeasurement,
+    VolumeRobot,
+    VolumeRobotState,
+    VolumeSight,
+    level_pose,
+)
 from jaxplore.sensing.volume import VolumeScan, VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.odometer import Odometer
 from jaxplore.simulation.exploration.scenario import TOLD_NOISE
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
@@ -65,13 +74,25 @@ TOUCHING = 1.0
 """Reach of the box in which the distance to solid voxels is examined [m]."""
 
 
+class TrueFlight(NamedTuple):
+    """Where a robot that does not know its pose was, and what its scans give there.
+
+    `reckoned` is its pose by the odometry alone, and `odometer` has the errors of that.
+    `reference` is the map that the scans give at the true poses.
+    """
+
+    reckoned: LevelPose
+    odometer: Odometer
+    reference: VoxelGrid
+
+
 class VolumeState(NamedTuple):
     """State of the exploration of a volume: what is true, what the robot knows, what is judged.
 
     `own` is what the robot knows. `num_known` observable voxels are known to be free, and `gain` is
     the last rise of their share. `is_seen` (M,) says which targets have been seen. `motion` is that
     of the last step; None without a goal. `moving` are the true moving obstacles of the run; None
-    without any.
+    without any. `flight` is where the robot was; None if it knows its pose.
     """
 
     robot: StateVector
@@ -81,6 +102,7 @@ class VolumeState(NamedTuple):
     is_seen: Bool[Array, " M"]
     motion: Motion | None = None
     moving: MovingObstacles | None = None
+    flight: TrueFlight | None = None
 
     @property
     def belief(self) -> VolumeBelief:
@@ -101,12 +123,18 @@ class VolumeScenario(Scenario):
     there, through what it does not know as well, and the run is finished when it has come to rest
     there (`GoalCheck`); it is not given up.
 
+    With a localiser the robot starts at a known pose, and then knows its odometry and its scans
+    alone: it flies and maps by its estimate. Coverage is then that of the map that its scans give
+    at their true poses.
+
     Args:
         world: the true volume, hidden from the robot.
         robot: true model of the robot.
         sensors: one sensor or several; the information is that of the first one.
         start: start (x, y, z, yaw) with z up [m, m, m, rad], level and at rest.
         perception: update of the belief; made for the sensors and the world when absent.
+        localiser: how the robot finds its pose, whose `odometry` is the true one as well; it knows
+            its pose when absent.
         control_rate: rate of the controls [Hz].
         sensing_rate: rate of scans and map updates [Hz]; a whole fraction of the control rate.
         field_rate: rate of updates of the information and guidance [Hz], likewise.
@@ -136,7 +164,7 @@ class VolumeScenario(Scenario):
             (0, 1], a window of the perception that is too small, a target that is not in an
             observable voxel, targets beside a goal, a goal where the robot cannot get from its
             start, a perception made for another goal, a start, a goal or all targets in keep-out
-            boxes.
+            boxes, a localiser beside a window of the perception.
     """
 
     frame_type = VolumeFrame
@@ -146,6 +174,7 @@ class VolumeScenario(Scenario):
     robot: Quadrotor
     sensors: tuple[VolumeSensor, ...]
     perception: VolumePerception
+    localiser: VolumeLocaliser | None
     start: StateVector
     control_period: Scalar
     steps_per_scan: Count
@@ -170,6 +199,7 @@ class VolumeScenario(Scenario):
         start: Vector,
         *,
         perception: VolumePerception | None = None,
+        localiser: VolumeLocaliser | None = None,
         control_rate: float = 20.0,
         sensing_rate: float = 10.0,
         field_rate: float = 5.0,
@@ -230,7 +260,12 @@ class VolumeScenario(Scenario):
             _check_goal(check, world, places, is_barred, radius, datum, has_targets=has_targets)
         perception = _check_perception(perception, given, world, robot, self.goal_check)
         perception.window_shape(world.shape, side)
-        self.perception = perception
+        self.perception, self.localiser = perception, localiser
+        if localiser is not None and perception.extents is not None:
+            raise ValueError(
+                f"window is {list(perception.extents)} beside a localiser, which finds the pose on "
+                "the whole map; accepted: one of them"
+            )
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -268,13 +303,21 @@ class VolumeScenario(Scenario):
             obstacles = Obstacles.unseen(moving.radius)
             belief = dataclasses.replace(belief, obstacles=obstacles)
             moving = moving if key is None else moving.at_random_phase(key)
-        own = self.onboard.init(belief, is_guarded=self.guard is not None)
-        return VolumeState(self.start, own, known, gain, is_seen, motion, moving), belief
+        own = self.onboard.init(belief, self.start, is_guarded=self.guard is not None)
+        flight = None
+        if self.localiser is not None:
+            odometer = Odometer.at_start(self.localiser.odometry, key)
+            flight = TrueFlight(level_pose(self.robot, self.start), odometer, belief.grid)
+        return VolumeState(self.start, own, known, gain, is_seen, motion, moving, flight), belief
+
+    def measure_state(self, state: VolumeState) -> StateVector:
+        """Return the state (nx,) that the robot takes to be its own."""
+        return self.onboard.observe_state(state.own, state.robot)
 
     @property
     def onboard(self) -> VolumeRobot:
         """What runs on board of the robot, which knows no truth."""
-        return VolumeRobot(self.robot, self.sensors, self.perception)
+        return VolumeRobot(self.robot, self.sensors, self.perception, self.localiser)
 
     def scan_points(self, state: VolumeState, moment: Moment | None = None) -> ScanPoints:
         """Return the newest scan for the guard, with the room of the map."""
@@ -292,14 +335,22 @@ class VolumeScenario(Scenario):
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
         onboard, measured = self.onboard, self.measure(state, moment, key)
         own, sight = onboard.examine(state.own, measured)
+        own, sight = onboard.locate(own, measured, sight)
         own = onboard.track_told(own, measured)
-        before, own = self._count_before(own, measured, sight)
-        own = onboard.map_scans(own, measured, sight)
-        (after,) = self._count_known(own.belief, measured, sight)
+        num_known, flight = state.num_known, state.flight
+        if flight is None:
+            before, own = self._count_before(own, measured, sight)
+            own = onboard.map_scans(own, measured, sight)
+            (after,) = self._count_known(own.belief, measured, sight)
+            num_known = num_known + after - before
+        else:
+            own = onboard.map_scans(own, measured, sight)
+            flight, num_known = self._map_truly(state, flight, measured, sight)
         own = onboard.update_fields(own, measured, sight)
         state = state._replace(
             own=own,
-            num_known=state.num_known + after - before,
+            num_known=num_known,
+            flight=flight,
             is_seen=self._find_targets(state, moment, measured),
         )
         gain = state.gain.update(self.coverage(state), self.control_period)
@@ -319,6 +370,8 @@ class VolumeScenario(Scenario):
 
         def take() -> tuple[tuple[VolumeScan, ...], Told | None]:
             told = truth.tell(sensors, robot, self.tracking_noise, key)
+            if told is not None and self.localiser is not None:
+                told = told._replace(pose=self.robot.pose(robot))
             return truth.scans(sensors, robot, key), told
 
         is_due = moment.step % self.steps_per_scan == 0
@@ -371,6 +424,33 @@ class VolumeScenario(Scenario):
         belief = eqx.tree_at(lambda each: each.grid.log_odds, own.belief, log_odds)
         return count, own._replace(belief=belief)
 
+    def _map_truly(
+        self,
+        state: VolumeState,
+        flight: TrueFlight,
+        measured: VolumeMeasurement,
+        sight: VolumeSight,
+    ) -> tuple[TrueFlight, Count]:
+        """Return the map that the scans give at the true poses, and how many observable voxels are
+        known to be free in it."""
+        place = position_upwards(state.robot), attitude_upwards(state.robot)
+
+        def add(reference: VoxelGrid, known: Count) -> tuple[VoxelGrid, Count]:
+            window = self.perception.scan_window(reference, *place)
+            wanted, before = window.read(self.observable), window.read(reference.log_odds)
+            model = self.perception.sensor_model
+            for sensor, scan in zip(self.sensors, measured.scans, strict=True):
+                reference = sensor.update(reference, *place, scan, model, window)
+            now, then = (
+                jnp.sum((each < FREE_BELOW) & wanted, dtype=jnp.int32)
+                for each in (window.read(reference.log_odds), before)
+            )
+            return reference, known + now - then
+
+        given = flight.reference, state.num_known
+        reference, known = when_due(measured.is_scan_due, sight.is_taken, add, given)
+        return flight._replace(reference=reference), known
+
     def _find_targets(
         self, state: VolumeState, moment: Moment, measured: VolumeMeasurement
     ) -> Bool[Array, " M"]:
@@ -408,10 +488,28 @@ class VolumeScenario(Scenario):
             is_untraversable=self._is_barred(after),
             stop=moment.stop,
         )
+        state, record = self._follow_odometry(state, record, moment.step)
         if self.goal_check is not None:
             motion = Motion.between(self.robot, state.robot, after, self.control_period)
             state = state._replace(motion=motion)
         return state._replace(robot=after), record
+
+    def _follow_odometry(
+        self, state: VolumeState, record: VolumeRecord, step: Count
+    ) -> tuple[VolumeState, VolumeRecord]:
+        """Let a robot that finds its pose measure a step to the true state of a record."""
+        flight, localiser = state.flight, self.localiser
+        if flight is None or localiser is None:
+            return state, record
+        poses = level_pose(self.robot, state.robot), level_pose(self.robot, record.state)
+        motion, odometer = flight.odometer.measure_motion(
+            localiser.odometry, between(*poses), step, self.control_period
+        )
+        own = self.onboard.predict(state.own, motion)
+        assert own.place is not None
+        flight = flight._replace(reckoned=compose(flight.reckoned, motion), odometer=odometer)
+        record = record._replace(estimate=own.place.pose, reckoned=flight.reckoned)
+        return state._replace(own=own, flight=flight), record
 
     def is_unfinished(self, state: VolumeState) -> Flag:
         """Check whether the exploration is neither finished nor given up."""
@@ -522,8 +620,8 @@ class VolumeScenario(Scenario):
     def _is_there(self, check: GoalCheck, state: VolumeState) -> Flag:
         """Check whether the robot has come to rest at its goal."""
         assert state.motion is not None
-        heading = self.robot.heading(state.robot)
-        pose = jnp.append(position_upwards(state.robot), heading)
+        # A robot that finds its pose is where it takes itself to be.
+        pose = level_pose(self.robot, self.measure_state(state))
         there: Flag = check.is_reached(pose, state.motion)
         return there
 

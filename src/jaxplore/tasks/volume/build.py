@@ -15,6 +15,8 @@ from jaxplore.control.base import Controller
 from jaxplore.control.guard import WALL_MARGIN, MotionGuard
 from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.localisation.volume_localiser import VolumeLocaliser
+from jaxplore.localisation.volume_odometry import VolumeOdometry
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, read_volume
 from jaxplore.maps.generators.people import walking_people
@@ -46,7 +48,12 @@ from jaxplore.tasks.robot import (
     with_latency,
 )
 from jaxplore.tasks.user_code import import_controller, import_rule
-from jaxplore.tasks.volume.settings import GENERATED, VolumeSettings, make_volume_settings
+from jaxplore.tasks.volume.settings import (
+    GENERATED,
+    VolumeLocalisationSettings,
+    VolumeSettings,
+    make_volume_settings,
+)
 
 _HIGH = 5.6
 """Height of a generated maze, which has two storeys [m]."""
@@ -78,6 +85,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         sensors,
         _start(settings, world, robot, datum),
         perception=perception,
+        localiser=_localiser(settings.localisation),
         goal=goal,
         moving_obstacles=_people(settings, world),
         targets=[datum.to_local(each) for each in settings.search] or None,
@@ -102,6 +110,18 @@ def build_volume(settings: VolumeSettings) -> Experiment:
 def _guard() -> MotionGuard:
     """Build the guard of a quadrotor, which can make way to all sides."""
     return MotionGuard(check=StopCheck(WALL_MARGIN, evades=True))
+
+
+def _localiser(given: VolumeLocalisationSettings | None) -> VolumeLocaliser | None:
+    """Build what lets a robot find its pose; None for one that knows it."""
+    if given is None:
+        return None
+    # `arguments` returns angles in degrees, as settings have them.
+    numbers = {
+        "turn_per_distance": math.radians(given.turn_per_distance_degrees),
+        "turn_noise": math.radians(given.turn_noise_degrees),
+    }
+    return VolumeLocaliser(VolumeOdometry(**arguments(given, VolumeOdometry) | numbers))
 
 
 def _people(settings: VolumeSettings, world: VoxelGrid) -> MovingObstacles | None:
