@@ -29,3 +29,11 @@ from jaxplore.localisation.scan_matching import ScanMatch as ScanMatch
 from jaxplore.localisation.scan_matching import ScanMatcher as ScanMatcher
 from jaxplore.localisation.surface import EndPoints as EndPoints
 from jaxplore.localisation.surface import SurfaceMap as SurfaceMap
+from jaxplore.localisation.volume_localiser import VolumeLocaliser as VolumeLocaliser
+from jaxplore.localisation.volume_localiser import VolumeLocaliserState as VolumeLocaliserState
+from jaxplore.localisation.volume_matching import VolumeMatch as VolumeMatch
+from jaxplore.localisation.volume_matching import VolumeMatcher as VolumeMatcher
+from jaxplore.localisation.volume_odometry import VolumeOdometry as VolumeOdometry
+from jaxplore.localisation.volume_odometry import VolumeOdometryBias as VolumeOdometryBias
+from jaxplore.localisation.volume_surface import VolumePoints as VolumePoints
+from jaxplore.localisation.volume_surface import VolumeSurface as VolumeSurface

@@ -145,7 +145,7 @@ class ScanMatcher(eqx.Module):
         """
         prior = jnp.linalg.inv(covariance)
         start = self.search(surface, ends, guess, covariance, way)
-        kept = _filter_information(*self._system(surface, ends, start, way)[:2])
+        kept = filter_information(*self._system(surface, ends, start, way)[:2])
 
         def step(_: Count, pose: Pose) -> Pose:
             information, _tilt, gradient, *_rest = self._system(surface, ends, pose, way)
@@ -283,21 +283,28 @@ def _rows(slope: Float[Array, "N 2"], arm: Float[Array, "N 2"]) -> Float[Array, 
     return jnp.concatenate([slope, by_yaw[:, None]], axis=1)
 
 
-def _filter_information(information: Matrix, tilt: Matrix) -> Matrix:
+def filter_information(
+    information: Float[Array, "K K"], tilt: Float[Array, "K K"], noisy: float = NOISY
+) -> Float[Array, "K K"]:
     """Return the matrix K that keeps of an information A what errors of normals do not explain.
 
     Along a corridor, normals with errors seem to measure the position. In the basis in which the
     information that they add is the identity, K A K' has for each eigenvalue v of A the eigenvalue
-    `max(v - NOISY, 0)`.
+    `max(v - noisy, 0)`.
 
     Source: after Zhang, Kaess and Singh, "On degeneracy of optimization-based state estimation
     problems", ICRA 2016, where the directions of small eigenvalues are left out.
+
+    Args:
+        information: information A (K, K) of a scan.
+        tilt: (K, K) what errors of normals add to it.
+        noisy: information, relative to that, below which nothing was measured.
     """
     # So that it can be inverted where normals have no errors, or nothing was measured.
     least = 1e-6 * (jnp.diagonal(information) + 1.0)
     root = jnp.linalg.cholesky(tilt + jnp.diag(least))
     inverse = jnp.linalg.inv(root)
     values, vectors = jnp.linalg.eigh(inverse @ information @ inverse.T)
-    share = jnp.maximum(values - NOISY, 0.0) / jnp.maximum(values, NOISY)
-    kept: Matrix = root @ (vectors * jnp.sqrt(share)) @ vectors.T @ inverse
+    share = jnp.maximum(values - noisy, 0.0) / jnp.maximum(values, noisy)
+    kept: Array = root @ (vectors * jnp.sqrt(share)) @ vectors.T @ inverse
     return kept

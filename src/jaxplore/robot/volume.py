@@ -18,6 +18,8 @@ from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.guard import GuardState, ScanPoints
 from jaxplore.control.stops import BLIND, GOOD, MISFIT
 from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
+from jaxplore.geometry.level_motion import LevelPose, turn
+from jaxplore.localisation.volume_localiser import VolumeLocaliser, VolumeLocaliserState
 from jaxplore.robot.clock import when_due
 from jaxplore.robot.robot import FITTING, Told, is_mapped_after, tell, unfit_after
 from jaxplore.robot.volume_points import num_volume_points, volume_points
@@ -64,11 +66,13 @@ class VolumeRobotState(NamedTuple):
         points: points of the newest scan, for the guard; None without one.
         unfit: time for which scans have not fitted the map [s], negative while they do; None if
             they are all mapped.
+        place: what it knows of its pose; None if its odometry tells the pose.
     """
 
     belief: VolumeBelief
     points: ScanPoints | None = None
     unfit: Scalar | None = None
+    place: VolumeLocaliserState | None = None
 
 
 class VolumeSight(NamedTuple):
@@ -93,20 +97,60 @@ class VolumeSight(NamedTuple):
 class VolumeRobot(NamedTuple):
     """What runs on board of a robot in a volume to perceive.
 
-    In a control period `examine`, `track_told`, `map_scans` and `update_fields` follow each other.
+    In a control period `examine`, `locate`, `track_told`, `map_scans` and `update_fields` follow
+    each other. `localiser` is how the robot finds its pose; None if its odometry tells it.
     """
 
     model: Quadrotor
     sensors: tuple[VolumeSensor, ...]
     perception: VolumePerception
+    localiser: VolumeLocaliser | None = None
 
-    def init(self, belief: VolumeBelief, *, is_guarded: bool) -> VolumeRobotState:
-        """Return what the robot knows before the first scan, with what a guard needs if there is
-        one."""
+    def init(
+        self, belief: VolumeBelief, start: StateVector, *, is_guarded: bool
+    ) -> VolumeRobotState:
+        """Return what the robot knows before the first scan in the state `start` (nx,), with what
+        a guard needs if there is one."""
+        place = None
+        if self.localiser is not None:
+            place = self.localiser.init(level_pose(self.model, start), belief.grid)
         if not is_guarded:
-            return VolumeRobotState(belief)
+            return VolumeRobotState(belief, place=place)
         points = ScanPoints.blank(num_volume_points(self.sensors), 0.0, dimensions=3)
-        return VolumeRobotState(belief, points, jnp.asarray(FITTING))
+        return VolumeRobotState(belief, points, jnp.asarray(FITTING), place)
+
+    def observe_state(self, own: VolumeRobotState, state: StateVector) -> StateVector:
+        """Return the state (nx,) that the robot takes to be its own.
+
+        What is neither position nor yaw is measured as it is in the true state (nx,): the velocity
+        in the frame of the robot, roll, pitch and body rates.
+        """
+        return state if own.place is None else move_to(self.model, state, own.place.pose)
+
+    def predict(self, own: VolumeRobotState, motion: LevelPose) -> VolumeRobotState:
+        """Return what the robot knows after a motion (dx, dy, dz, dyaw) by its odometry."""
+        assert self.localiser is not None
+        assert own.place is not None
+        return own._replace(place=self.localiser.predict(own.place, motion))
+
+    def locate(
+        self, own: VolumeRobotState, measured: VolumeMeasurement, sight: VolumeSight
+    ) -> tuple[VolumeRobotState, VolumeSight]:
+        """Correct the pose by scans that are due, if the robot finds its pose by them."""
+        localiser = self.localiser
+        if localiser is None or own.place is None:
+            return own, sight
+        # The scan is from the attitude that is measured; the yaw of it is found.
+        _, rotation = sight.place
+        level = turn(-self.model.heading(sight.state)) @ rotation
+
+        def correct(place: VolumeLocaliserState) -> tuple[VolumeLocaliserState]:
+            return (localiser.correct(place, measured.scans, self.sensors, level),)
+
+        (place,) = when_due(measured.is_scan_due, sight.is_taken, correct, (own.place,))
+        found = move_to(self.model, sight.state, place.pose)
+        state = jnp.where(sight.is_placed, found, sight.state)
+        return own._replace(place=place), sight._replace(state=state)
 
     def examine(
         self, own: VolumeRobotState, measured: VolumeMeasurement
@@ -146,8 +190,11 @@ class VolumeRobot(NamedTuple):
         if told is None or known is None:
             return own
 
+        # A robot that finds its pose places them from there.
+        place = None if own.place is None else own.place.pose[jnp.array([0, 1, 3])]
+
         def update(before: Obstacles) -> tuple[Obstacles]:
-            return (tell(before, told),)
+            return (tell(before, told, place),)
 
         (after,) = when_due(measured.is_scan_due, ~measured.is_blind, update, (known,))
         return own._replace(belief=dataclasses.replace(own.belief, obstacles=after))
@@ -184,3 +231,14 @@ class VolumeRobot(NamedTuple):
 
         (belief,) = when_due(measured.are_fields_due, sight.is_placed, derive, (belief,))
         return own._replace(belief=eqx.combine(belief, stored))
+
+
+def level_pose(model: Quadrotor, state: StateVector) -> LevelPose:
+    """Return the pose (x, y, z, yaw) of a state (nx,), with z up [m, m, m, rad]."""
+    return jnp.append(position_upwards(state), model.heading(state))
+
+
+def move_to(model: Quadrotor, state: StateVector, pose: LevelPose) -> StateVector:
+    """Return a state (nx,) turned about the vertical to a pose (x, y, z, yaw), with z up."""
+    x, y, z, yaw = jnp.unstack(pose)
+    return model.with_pose(state, jnp.stack([x, y, yaw])).at[2].set(-z)

@@ -70,6 +70,21 @@ class VolumeSensor(eqx.Module):
     def elevations(self) -> tuple[float, float]:
         """Elevations of the lower and the upper edge of the view of a level body [rad]."""
 
+    @property
+    @abc.abstractmethod
+    def lattice(self) -> tuple[int, int]:
+        """Number of rows and columns of the rays, which are in order, row by row."""
+
+    @property
+    @abc.abstractmethod
+    def spacing(self) -> tuple[float, float]:
+        """Greatest angle between rays of neighbouring rows, and of neighbouring columns [rad]."""
+
+    @property
+    def is_full_circle(self) -> bool:
+        """Whether the first column and the last one are neighbours."""
+        return self.field_of_view > 2.0 * math.pi - 1e-6
+
     @abc.abstractmethod
     def is_in_view(self, points: Float[Array, "3 M"]) -> Bool[Array, " M"]:
         """Return whether points in the frame of the body [m] are within the angles of the view.
@@ -310,6 +325,17 @@ class DepthCamera(VolumeSensor):
         half, quarter = 0.5 * self.vertical_view, 0.5 * math.pi
         return max(self.tilt - half, -quarter + 1e-3), min(self.tilt + half, quarter)
 
+    @property
+    def lattice(self) -> tuple[int, int]:
+        """Number of rows and columns of the rays."""
+        return self.rows, self.columns
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Angles between neighbouring pixels in the middle of the image [rad]."""
+        across, along = math.tan(0.5 * self.vertical_view), math.tan(0.5 * self.field_of_view)
+        return 2.0 * across / self.rows, 2.0 * along / self.columns
+
     def is_in_view(self, points: Float[Array, "3 M"]) -> Bool[Array, " M"]:
         """Return whether points in the frame of the body [m] are in the image."""
         x, left, z = points
@@ -386,6 +412,17 @@ class RingLidar(VolumeSensor):
         quarter = 0.5 * math.pi
         half = max(half, 0.01)
         return max(self.lowest - half, -quarter + 1e-3), min(self.highest + half, quarter)
+
+    @property
+    def lattice(self) -> tuple[int, int]:
+        """Number of rings and of rays of each."""
+        return self.rings, self.columns
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Angles between neighbouring rings, and between rays of one ring [rad]."""
+        across = (self.highest - self.lowest) / max(1, self.rings - 1)
+        return max(across, 1e-3), self.field_of_view / self.columns
 
     def is_in_view(self, points: Float[Array, "3 M"]) -> Bool[Array, " M"]:
         """Return whether points in the frame of the body [m] are between the outermost rays."""

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
+from jaxplore.geometry.level_motion import LevelPose
 from jaxplore.maps.datum import move_points
-from jaxplore.report._numbers import finite, numbers, percent
+from jaxplore.report._numbers import finite, numbers, percent, text
 from jaxplore.report.coverage_levels import (
     LEVELS,
     at_instants,
@@ -23,6 +24,7 @@ from jaxplore.report.metrics import Column, Curve, thin_series
 from jaxplore.report.motion import episodes
 from jaxplore.report.of_parts import PartsData, PartsMetrics
 from jaxplore.report.recording import Frame, LiveCurves, move_records, move_states
+from jaxplore.report.volume.localisation import flight_errors
 
 
 class VolumeRecord(NamedTuple):
@@ -41,6 +43,9 @@ class VolumeRecord(NamedTuple):
         stop: why the guard stopped the robot, an index into `control.stops.REASONS`; 0 if it did
             not, None without a guard.
         parts: record of each part of the robot that has one, by its name; None in older files.
+        estimate: pose (x, y, z, yaw) at which the robot takes itself to be after the step, with z
+            up [m, m, m, rad]; None if it knows its pose, as is the one below.
+        reckoned: the same by the odometry alone.
     """
 
     state: StateVector
@@ -53,6 +58,8 @@ class VolumeRecord(NamedTuple):
     is_untraversable: Flag | None = None
     stop: Count | None = None
     parts: dict[str, Any] | None = None
+    estimate: LevelPose | None = None
+    reckoned: LevelPose | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -131,7 +138,7 @@ class VolumeData(PartsData):
     def move_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
         return {
-            "records": move_records(self.records, offset, self.state_names),
+            "records": self._move_records(offset),
             "start": move_states(self.start, offset, self.state_names),
             "origin": move_points(self.origin, offset),
             "goal": None if self.goal is None else move_points(self.goal, offset),
@@ -142,6 +149,16 @@ class VolumeData(PartsData):
     def marks(self, frame: VolumeFrame) -> list[tuple[np.ndarray, Colour]]:
         """Return the place (3,) [m] and the colour of what parts mark in a frame."""
         return [mark for each in self.parts.values() for mark in each.marks(frame)]
+
+    def _move_records(self, offset: np.ndarray) -> VolumeRecord:
+        records: VolumeRecord = move_records(self.records, offset, self.state_names)
+        return records._replace(
+            **{
+                name: move_points(getattr(records, name), offset)
+                for name in ("estimate", "reckoned")
+                if getattr(records, name) is not None
+            }
+        )
 
     @property
     def live_curves(self) -> LiveCurves:
@@ -164,6 +181,24 @@ class VolumeData(PartsData):
         x, y, z = (self.state_names.index(name) for name in "xyz")
         return np.asarray(states[:, [x, y, z]] * np.array([1.0, 1.0, -1.0]))
 
+    @property
+    def estimates(self) -> list[tuple[np.ndarray, str, str]]:
+        """Poses (N, 4) at which a robot that found its pose took itself to be, and those of its
+        odometry, each with the style of its line and what it is; empty if it knew its pose."""
+        named = (
+            (self.records.reckoned, ":", "by odometry alone"),
+            (self.records.estimate, "--", "estimated way"),
+        )
+        return [(np.asarray(each), *words) for each, *words in named if each is not None]
+
+    @property
+    def headings(self) -> np.ndarray:
+        """Yaws (N + 1,) of the robot, the start included [rad]."""
+        states = np.concatenate([self.start[None], self.records.state]).astype(np.float64)
+        w, x, y, z = (states[:, self.state_names.index(name)] for name in ("qw", "qx", "qy", "qz"))
+        yaws: np.ndarray = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return yaws
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class VolumeMetrics(PartsMetrics, GuardMetrics):
@@ -182,6 +217,12 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
         mean_effective_sample_size: mean effective sample size.
         goal_distance: distance from the goal at the end [m]; None without a goal.
         untraversable_steps: number of steps that ended with part of the robot in a keep-out box.
+        ate: absolute trajectory error of a robot that localised itself, root mean square after the
+            alignment [m]; None if it knew its pose, as are the ones below.
+        odometry_ate: the same error of the odometry alone [m].
+        rpe: relative pose error over 5 m, root mean square of the position [m].
+        greatest_error: greatest distance of the estimated position from the true one, not aligned
+            [m].
         curve: time, coverage and path, and the curves of parts, for plots.
     """
 
@@ -196,6 +237,10 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
     mean_effective_sample_size: float | None
     goal_distance: float | None
     untraversable_steps: int
+    ate: float | None
+    odometry_ate: float | None
+    rpe: float | None
+    greatest_error: float | None
     curve: dict[str, list[float | None]]
     columns = (
         Column.num_finished(),
@@ -210,6 +255,10 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
         Column.total("collisions", "collisions"),
         GUARD_COLUMN,
         Column.least("minimum_clearance", "clearance [m]"),
+        *(
+            Column.quartiles(name, title, applies=lambda spread: spread[0] < math.inf)
+            for name, title in (("ate", "ATE [m]"), ("odometry_ate", "of odometry [m]"))
+        ),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
     )
     plotted = (Curve("coverage", "coverage [%]", 100.0, 100.0), Curve("path", "path [m]"))
@@ -229,6 +278,7 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
             *numbers("goal", "{:.2f} m away", self.goal_distance),
             ("path", f"{self.path_length:.1f} m, {self.mean_speed:.2f} m/s in the mean"),
             ("collisions", str(self.collisions)),
+            *self._localisation_rows(),
             *self.guard_rows(),
             *(
                 [("untraversable", f"{self.untraversable_steps} steps")]
@@ -239,6 +289,12 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
             *numbers("sample size", "{:.1f} effective", self.mean_effective_sample_size),
             *self.last_rows(),
         ]
+
+    def _localisation_rows(self) -> list[tuple[str, str]]:
+        if self.ate is None:
+            return []
+        error = f"{self.ate:.3f} m, {text(self.rpe, 3)} m over 5 m"
+        return [("trajectory error", error), ("  of odometry", f"{text(self.odometry_ate, 2)} m")]
 
 
 def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> VolumeMetrics:
@@ -279,5 +335,6 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         untraversable_steps=0
         if records.is_untraversable is None
         else int(np.asarray(records.is_untraversable, bool).sum()),
+        **flight_errors(data.positions[1:], data.headings[1:], records.estimate, records.reckoned),
         curve=thin_series(curve, period),
     )

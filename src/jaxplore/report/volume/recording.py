@@ -14,6 +14,7 @@ from jaxplore.report.drawing import colours
 from jaxplore.report.drawing.film import FilmOptions, write_film
 from jaxplore.report.drawing.footer import fonts
 from jaxplore.report.drawing.palette import INK, PAPER, fit_palette
+from jaxplore.report.exploration.localisation import ESTIMATE
 from jaxplore.report.recording import Course, Recording
 from jaxplore.report.volume.data import (
     FREE,
@@ -262,6 +263,7 @@ def slices_figure(data: VolumeData) -> "Figure":
     """Draw level slices of the map at a quarter, a half and three quarters of its height.
 
     The path is pale where another slice is nearer to it: there it may pass above or below a wall.
+    Of a robot that found its pose all slices show the estimated way and that of its odometry.
     """
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
@@ -280,7 +282,11 @@ def slices_figure(data: VolumeData) -> "Figure":
         axes.imshow(image, extent=extent)
         axes.plot(path[:, 0], path[:, 1], color=TRAIL, linewidth=0.8, alpha=0.25)
         near = np.where((nearest == number - 1)[:, None], path[:, :2], np.nan)
-        axes.plot(near[:, 0], near[:, 1], color=TRAIL, linewidth=1.2)
+        axes.plot(near[:, 0], near[:, 1], color=TRAIL, linewidth=1.2, label="true way")
+        for poses, style, label in data.estimates:
+            axes.plot(*poses[:, :2].T, style, color=ESTIMATE, linewidth=1.0, label=label)
+        if data.estimates and number == 1:
+            axes.legend(fontsize=7, loc="upper right")
         for box in data.boxes:
             if box[2] <= z <= box[5]:
                 corner, size = box[:2], box[3:5] - box[:2]

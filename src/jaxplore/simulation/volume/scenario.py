@@ -31,7 +31,9 @@ from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.goal import Goal, Motion
-from jaxplore.dynamics.quadrotor import Quadrotor, position_upwards
+from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
+from jaxplore.geometry.level_motion import LevelPose, between, compose
+from jaxplore.localisation.volume_localiser import VolumeLocaliser
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
@@ -39,13 +41,20 @@ from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.robot.clock import when_due, whole_steps
 from jaxplore.robot.robot import Told
-from jaxplore.robot.volume import VolumeMeasurement, VolumeRobot, VolumeRobotState, VolumeSight
+from jaxplore.robot.volume import (
+    VolumeMeasurement,
+    VolumeRobot,
+    VolumeRobotState,
+    VolumeSight,
+    level_pose,
+)
 from jaxplore.sensing.volume import VolumeScan, VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.disturbances import Place
 from jaxplore.simulation.exploration.finish import default_give_up_after
 from jaxplore.simulation.exploration.frames import part_frames
 from jaxplore.simulation.exploration.motion import move_parts, update_parts
+from jaxplore.simulation.exploration.odometer import Odometer
 from jaxplore.simulation.exploration.part_truth import (
     Drive,
     PartTruth,
@@ -70,12 +79,25 @@ TOUCHING = 1.0
 """Reach of the box in which the distance to solid voxels is examined [m]."""
 
 
+class TrueFlight(NamedTuple):
+    """Where a robot that does not know its pose was, and what its scans give there.
+
+    `reckoned` is its pose by the odometry alone, and `odometer` has the errors of that.
+    `reference` is the map that the scans give at the true poses.
+    """
+
+    reckoned: LevelPose
+    odometer: Odometer
+    reference: VoxelGrid
+
+
 class VolumeState(NamedTuple):
     """State of the exploration of a volume: what is true, what the robot knows, what is judged.
 
     `own` is what the robot knows. `num_known` observable voxels are known to be free, and `gain` is
     the last rise of their share. `truths` are the states of what is true beside the map, by name.
-    `motion` is that of the last step; None without a goal.
+    `motion` is that of the last step; None without a goal. `flight` is where the robot was; None if
+    it knows its pose.
     """
 
     robot: StateVector
@@ -84,6 +106,7 @@ class VolumeState(NamedTuple):
     gain: Gain
     truths: dict[str, Any]
     motion: Motion | None = None
+    flight: TrueFlight | None = None
 
     @property
     def belief(self) -> VolumeBelief:
@@ -105,12 +128,18 @@ class VolumeScenario(Scenario):
     there, through what it does not know as well, and the run is finished when it has come to rest
     there (`Goal`); it is not given up.
 
+    With a localiser the robot starts at a known pose, and then knows its odometry and its scans
+    alone: it flies and maps by its estimate. Coverage is then that of the map that its scans give
+    at their true poses.
+
     Args:
         world: the true volume, hidden from the robot.
         robot: true model of the robot.
         sensors: one sensor or several; the information is that of the first one.
         start: start (x, y, z, yaw) with z up [m, m, m, rad], level and at rest.
         perception: update of the belief; made for the sensors and the world when absent.
+        localiser: how the robot finds its pose, whose `odometry` is the true one as well; it knows
+            its pose when absent.
         control_rate: rate of the controls [Hz].
         sensing_rate: rate of scans and map updates [Hz]; a whole fraction of the control rate.
         field_rate: rate of updates of the information and guidance [Hz], likewise.
@@ -134,7 +163,7 @@ class VolumeScenario(Scenario):
             (0, 1], a window of the perception that is too small, targets beside a goal, a goal
             where the robot cannot get from its start, a perception made for another goal, a start
             or a goal in keep-out boxes; a truth of a part that the robot does not have, or that
-            cannot be in this volume.
+            cannot be in this volume; a localiser beside a window of the perception.
     """
 
     frame_type = VolumeFrame
@@ -144,6 +173,7 @@ class VolumeScenario(Scenario):
     robot: Quadrotor
     sensors: tuple[VolumeSensor, ...]
     perception: VolumePerception
+    localiser: VolumeLocaliser | None
     start: StateVector
     control_period: Scalar
     steps_per_scan: Count
@@ -166,6 +196,7 @@ class VolumeScenario(Scenario):
         start: Vector,
         *,
         perception: VolumePerception | None = None,
+        localiser: VolumeLocaliser | None = None,
         control_rate: float = 20.0,
         sensing_rate: float = 10.0,
         field_rate: float = 5.0,
@@ -176,7 +207,6 @@ class VolumeScenario(Scenario):
         tracking_noise: Vector = TOLD_NOISE,
         datum: Datum = ORIGIN,
     ) -> None:
-        self.truths = as_truths(truths, ())
         self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
         self.placed = HostOnly(datum)
         several = isinstance(sensors, Sequence)
@@ -210,7 +240,12 @@ class VolumeScenario(Scenario):
             _check_goal(self.goal, world, places, is_barred, radius, datum, has_targets=has_targets)
         perception = _check_perception(perception, given, world, robot, self.goal)
         perception.window_shape(world.shape, side)
-        self.perception = perception
+        self.perception, self.localiser = perception, localiser
+        if localiser is not None and perception.extents is not None:
+            raise ValueError(
+                f"window is {list(perception.extents)} beside a localiser, which finds the pose on "
+                "the whole map; accepted: one of them"
+            )
         given_truths = as_truths(truths, perception.parts)
         site = Site(world, robot, perception, place, given_truths, places, datum, seen)
         self.truths = tuple(each.bind(site) for each in given_truths)
@@ -244,7 +279,7 @@ class VolumeScenario(Scenario):
         belief = self.perception.init(blank, position_upwards(self.start))
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
-        begin = self._pose(self.start)
+        begin = level_pose(self.robot, self.start)
         known_of_parts = {
             each.name: own
             for each in self.truths
@@ -257,13 +292,21 @@ class VolumeScenario(Scenario):
         if moving is not None:
             obstacles = Obstacles.unseen(moving.radius)
             belief = dataclasses.replace(belief, obstacles=obstacles)
-        own = self.onboard.init(belief, is_guarded=self.guard is not None)
-        return VolumeState(self.start, own, known, gain, truths, motion), belief
+        own = self.onboard.init(belief, self.start, is_guarded=self.guard is not None)
+        flight = None
+        if self.localiser is not None:
+            odometer = Odometer.at_start(self.localiser.odometry, key)
+            flight = TrueFlight(begin, odometer, belief.grid)
+        return VolumeState(self.start, own, known, gain, truths, motion, flight), belief
+
+    def measure_state(self, state: VolumeState) -> StateVector:
+        """Return the state (nx,) that the robot takes to be its own."""
+        return self.onboard.observe_state(state.own, state.robot)
 
     @property
     def onboard(self) -> VolumeRobot:
         """What runs on board of the robot, which knows no truth."""
-        return VolumeRobot(self.robot, self.sensors, self.perception)
+        return VolumeRobot(self.robot, self.sensors, self.perception, self.localiser)
 
     def scan_points(self, state: VolumeState, moment: Moment | None = None) -> ScanPoints:
         """Return the newest scan for the guard, with the room of the map."""
@@ -281,14 +324,22 @@ class VolumeScenario(Scenario):
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
         onboard, measured = self.onboard, self.measure(state, moment, key)
         own, sight = onboard.examine(state.own, measured)
+        own, sight = onboard.locate(own, measured, sight)
         own = onboard.track_told(own, measured)
-        before, own = self._count_before(own, measured, sight)
-        own = onboard.map_scans(own, measured, sight)
-        (after,) = self._count_known(own.belief, measured, sight)
+        num_known, flight = state.num_known, state.flight
+        if flight is None:
+            before, own = self._count_before(own, measured, sight)
+            own = onboard.map_scans(own, measured, sight)
+            (after,) = self._count_known(own.belief, measured, sight)
+            num_known = num_known + after - before
+        else:
+            own = onboard.map_scans(own, measured, sight)
+            flight, num_known = self._map_truly(state, flight, measured, sight)
         own = onboard.update_fields(own, measured, sight)
         state = state._replace(
             own=own,
-            num_known=state.num_known + after - before,
+            num_known=num_known,
+            flight=flight,
             truths=self._judge_parts(state, own, moment, measured),
         )
         errand = own.belief.errand
@@ -310,7 +361,9 @@ class VolumeScenario(Scenario):
 
         def take() -> tuple[tuple[VolumeScan, ...], Told | None, dict[str, Any]]:
             told = truth.tell(sensors, robot, self.tracking_noise, key)
-            given = truth, sensors, self._pose(robot), key
+            if told is not None and self.localiser is not None:
+                told = told._replace(pose=self.robot.pose(robot))
+            given = truth, sensors, level_pose(self.robot, robot), key
             looks = {
                 each.name: each.measure(
                     self.perception.part_named(each.name), state.truths.get(each.name), *given
@@ -342,10 +395,6 @@ class VolumeScenario(Scenario):
             looks,
         )
 
-    def _pose(self, state: StateVector) -> Float[Array, "4"]:
-        """Return the pose (x, y, z, yaw) of a state (nx,), with z up [m, m, m, rad]."""
-        return jnp.append(position_upwards(state), self.robot.heading(state))
-
     def _count_known(
         self, belief: VolumeBelief, measured: VolumeMeasurement, sight: VolumeSight
     ) -> tuple[Count]:
@@ -374,6 +423,33 @@ class VolumeScenario(Scenario):
         count, log_odds = barrier((count, own.belief.grid.log_odds))  # type: ignore[no-untyped-call]
         belief = eqx.tree_at(lambda each: each.grid.log_odds, own.belief, log_odds)
         return count, own._replace(belief=belief)
+
+    def _map_truly(
+        self,
+        state: VolumeState,
+        flight: TrueFlight,
+        measured: VolumeMeasurement,
+        sight: VolumeSight,
+    ) -> tuple[TrueFlight, Count]:
+        """Return the map that the scans give at the true poses, and how many observable voxels are
+        known to be free in it."""
+        place = position_upwards(state.robot), attitude_upwards(state.robot)
+
+        def add(reference: VoxelGrid, known: Count) -> tuple[VoxelGrid, Count]:
+            window = self.perception.scan_window(reference, *place)
+            wanted, before = window.read(self.observable), window.read(reference.log_odds)
+            model = self.perception.sensor_model
+            for sensor, scan in zip(self.sensors, measured.scans, strict=True):
+                reference = sensor.update(reference, *place, scan, model, window)
+            now, then = (
+                jnp.sum((each < FREE_BELOW) & wanted, dtype=jnp.int32)
+                for each in (window.read(reference.log_odds), before)
+            )
+            return reference, known + now - then
+
+        given = flight.reference, state.num_known
+        reference, known = when_due(measured.is_scan_due, sight.is_taken, add, given)
+        return flight._replace(reference=reference), known
 
     def _judge_parts(
         self,
@@ -429,10 +505,28 @@ class VolumeScenario(Scenario):
             stop=moment.stop,
             parts=parts,
         )
+        state, record = self._follow_odometry(state, record, moment.step)
         if self.goal is not None:
             motion = Motion.between(self.robot, state.robot, after, self.control_period)
             state = state._replace(motion=motion)
         return state._replace(robot=after, truths=truths), record
+
+    def _follow_odometry(
+        self, state: VolumeState, record: VolumeRecord, step: Count
+    ) -> tuple[VolumeState, VolumeRecord]:
+        """Let a robot that finds its pose measure a step to the true state of a record."""
+        flight, localiser = state.flight, self.localiser
+        if flight is None or localiser is None:
+            return state, record
+        poses = level_pose(self.robot, state.robot), level_pose(self.robot, record.state)
+        motion, odometer = flight.odometer.measure_motion(
+            localiser.odometry, between(*poses), step, self.control_period
+        )
+        own = self.onboard.predict(state.own, motion)
+        assert own.place is not None
+        flight = flight._replace(reckoned=compose(flight.reckoned, motion), odometer=odometer)
+        record = record._replace(estimate=own.place.pose, reckoned=flight.reckoned)
+        return state._replace(own=own, flight=flight), record
 
     def is_unfinished(self, state: VolumeState) -> Flag:
         """Check whether the exploration is neither finished nor given up, and nothing that is true
@@ -561,7 +655,9 @@ class VolumeScenario(Scenario):
     def _is_there(self, check: Goal, state: VolumeState) -> Flag:
         """Check whether the robot has come to rest at its goal."""
         assert state.motion is not None
-        there: Flag = check.is_reached(self._pose(state.robot), state.motion)
+        # A robot that finds its pose is where it takes itself to be.
+        pose = level_pose(self.robot, self.measure_state(state))
+        there: Flag = check.is_reached(pose, state.motion)
         return there
 
 

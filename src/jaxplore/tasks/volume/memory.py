@@ -37,6 +37,9 @@ def _volume(settings: VolumeSettings, limit: float) -> Iterator[Part]:
         f"{depth} x {height} x {width} voxels: generated.size, the file, resolution, fields.window",
         60.0 * voxels * (1.0 + share),
     )
+    if settings.localisation is not None:
+        # Surfaces, and the map at the true poses.
+        yield Part("localisation", "generated.size, the file, resolution", 30.0 * voxels)
     spacing = NODE * max(side, COARSE) / side
     camera, lidar = settings.camera, settings.lidar
     rays = (0 if camera is None else camera.columns * camera.rows) + (
