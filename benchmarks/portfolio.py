@@ -136,7 +136,7 @@ def run(case: Case) -> dict[str, Any]:
     for name in ("coverage_curve", "versions"):
         kept.pop(name)
     start = np.asarray(scenario.start[:2])
-    distance = None if scenario.goal is None else float(np.hypot(*(scenario.goal - start)))
+    distance = None if scenario.goal is None else float(np.hypot(*(scenario.goal.position - start)))
     return {**case._asdict(), "start_goal_distance": distance, "metrics": kept}
 
 

@@ -397,8 +397,8 @@ def test_a_robot_that_returns_has_its_start_as_its_goal_when_all_is_explored(arc
     home = {"returns": True, "architecture": architecture, "watch": None}
     entries = {**SMALL, "map": "yard", "world": world, **home}
     scenario = build(make_settings(without_unread(entries))).scenario
-    assert scenario.goal.tolist() == scenario.start[:2].tolist()
-    assert scenario.max_unknown == scenario.perception.max_unknown == 0.0
+    assert scenario.goal.position.tolist() == scenario.start[:2].tolist()
+    assert scenario.goal.max_unknown == scenario.perception.max_unknown == 0.0
     # Guidance to the goal on its own would keep the robot near its start.
     assert not scenario.perception.is_goal_apart
 
