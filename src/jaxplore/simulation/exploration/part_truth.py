@@ -418,12 +418,9 @@ def init_truths(
     """
     states = {each.name: each.init(pose) for each in truths}
     found = {name: own for name, own in states.items() if own is not None}
-    return found if key is None else draw_truths(truths, found, key)
-
-
-def draw_truths(truths: Sequence[PartTruth], states: Mapping[str, Any], key: Key) -> dict[str, Any]:
-    """Return the states of truths at the start with what is drawn by the key of a run."""
-    return {each.name: each.draw(states[each.name], key) for each in truths if each.name in states}
+    if key is None:
+        return found
+    return {each.name: each.draw(found[each.name], key) for each in truths if each.name in found}
 
 
 def what_moves(

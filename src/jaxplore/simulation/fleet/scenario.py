@@ -29,7 +29,7 @@ from jaxplore.report.recording import Frame
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.disturbances import Disturbance
-from jaxplore.simulation.exploration.part_truth import PartTruth, draw_truths
+from jaxplore.simulation.exploration.part_truth import PartTruth, init_truths
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.assignment import with_assignments
@@ -268,10 +268,8 @@ class Fleet(Scenario):
         ) -> ExplorationState:
             here: ExplorationScenario = eqx.tree_at(lambda each: each.start, one, start)
             # What moves in the world is the same for all, what a robot measures is its own.
-            begun = here.init(own_key)[0]
-            if key is None:
-                return begun
-            return begun._replace(truths=draw_truths(here.truths, begun.truths, key))
+            truths = init_truths(here.truths, here.robot.pose(start), key)
+            return here.init(own_key)[0]._replace(truths=truths)
 
         # One compiled body for equal robots: once in a run, copies of their maps do not matter.
         own = self.explorations.at(self.share.mine)
