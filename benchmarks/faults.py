@@ -11,15 +11,14 @@ import sys
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from jaxplore.control.guard import MotionGuard
+from jaxplore.parts import Faults
 from jaxplore.report.motion import episodes
 from jaxplore.report.statistics import paired_difference
 from jaxplore.simulation.experiment import Experiment
-from jaxplore.simulation.faults import Faults
 from jaxplore.study.experiments import record_alone
 from jaxplore.tasks.registry import build, make_settings
 
@@ -74,12 +73,7 @@ def measure(task: str, seeds: range, *, is_guarded: bool) -> list[dict[str, Any]
     period = experiment.scenario.period
     found: dict[str, list[int]] = {}
     for case in cases(task, period):
-        scenario = eqx.tree_at(
-            lambda each: each.faults,
-            experiment.scenario,
-            case.faults,
-            is_leaf=lambda leaf: leaf is None,
-        )
+        scenario = experiment.scenario.with_disturbances([case.faults])
         for seed in seeds:
             run = experiment._replace(
                 scenario=scenario, num_steps=round(case.seconds / period), key=jax.random.key(seed)

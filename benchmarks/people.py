@@ -12,10 +12,12 @@ import json
 import time
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.setting import available_maps
 from jaxplore.settings.architectures import ARCHITECTURES
+from jaxplore.simulation.exploration.part_truth import init_truths, what_moves
 from jaxplore.simulation.loop import run_chunk
 from jaxplore.simulation.run import record_run
 from jaxplore.tasks.registry import build, make_settings
@@ -105,8 +107,10 @@ def distance_from_people(experiment: Any, state: np.ndarray, at: float) -> float
         at: the time [s].
     """
     scenario = experiment.scenario
-    people = scenario.moving_obstacles.at_random_phase(experiment.key)
-    x, y, radius = np.asarray(people.discs(np.float32(at))).T
+    drawn = init_truths(scenario.truths, scenario.robot.pose(scenario.start), experiment.key)
+    people = what_moves(scenario.truths, drawn, jnp.float32(at))
+    assert people is not None
+    x, y, radius = np.asarray(people.discs).T
     away = np.hypot(x - state[0], y - state[1]) - radius
     return float(away.min()) - float(scenario.robot.footprint.radius)
 

@@ -15,9 +15,9 @@ from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.generators.office import office
 from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.parts import MovingObstacles
 from jaxplore.sensing.fan import disc_distance
 from jaxplore.sensing.lidar import Lidar
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 
 PERIOD = 0.1
 """Time between two scans [s]."""
@@ -153,13 +153,15 @@ def watch(
             grid,
             pose,
             key=jax.random.fold_in(key, number),
-            movers=people.discs(time),
+            movers=now.discs,
             is_told=False,
         )
         passed = jnp.asarray(PERIOD)
         tracks, _ = tracker.update(tracks, sensor, scan, clearance, pose, passed)
         angles = heading + jnp.asarray(sensor.beam_angles)
-        met = jax.vmap(lambda disc: disc_distance(pose[:2], angles, disc[None]))(people.discs(time))
+        met = jax.vmap(lambda disc: disc_distance(pose[:2], angles, disc[None]))(
+            people.at(time).discs
+        )
         is_met = jnp.abs(met - scan.ranges) < 0.15
         seen = jnp.sum(is_met, axis=1) >= SEEN
         known = Watched(
@@ -192,7 +194,8 @@ def measure(speeds: Sequence[float], seeds: int, num_scans: int = 600) -> list[d
             people = MovingObstacles(walking_people(grid, 8, speed=speed, seed=seed))
             robot = MovingObstacles(walking_people(grid, 1, speed=0.8, seed=1000 + seed))
             key = jax.random.key(seed)
-            args = (people.at_random_phase(key), robot, Lidar(), ObstacleTracker(), key, num_scans)
+            begun = people.with_phase(people.draw(people.phase, key))
+            args = (begun, robot, Lidar(), ObstacleTracker(), key, num_scans)
             seen = jax.tree.map(np.asarray, watch(grid, *args))
             mot = clear_mot(
                 *(seen.positions, seen.is_seen),

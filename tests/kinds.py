@@ -69,7 +69,8 @@ def flight_scenario(faults: jx.Faults | None = None) -> jx.ExplorationScenario:
     return jx.ExplorationScenario(
         world, QUADROTOR, SCANNER, ZONES.start, perception=perception, prior=ZONES.prior(),
         goal=goal, altitude=-2.0, control_rate=20.0, sensing_rate=10.0, field_rate=5.0,
-        faults=jx.Faults(walls=np.zeros(world.shape, bool)) if faults is None else faults,
+    ).with_disturbances(
+        [jx.Faults(walls=np.zeros(world.shape, bool)) if faults is None else faults]
     )  # fmt: skip
 
 
@@ -141,8 +142,8 @@ def hall(
     return jx.ExplorationScenario(
         jx.OccupancyGrid(world, 0.1), WALKER, lidar, start, perception=perception,
         prior=None if prior is None else jx.OccupancyGrid(prior, 0.1), goal=goal,
-        control_rate=20.0, sensing_rate=10.0, field_rate=5.0, faults=faults, **arguments,
-    )  # fmt: skip
+        control_rate=20.0, sensing_rate=10.0, field_rate=5.0, **arguments,
+    ).with_disturbances([] if faults is None else [faults])  # fmt: skip
 
 
 # A yard: the smallest task, for what the loop does in all.
@@ -158,7 +159,6 @@ class Yard(jx.Scenario):
     robot: jx.Dynamics
     start: jax.Array = dataclasses.field(default_factory=lambda: jnp.zeros(5))
     control_period: jax.Array = dataclasses.field(default_factory=lambda: jnp.asarray(0.05))
-    faults: jx.Faults | None = None
 
     def init(self, key):
         return Place(self.start), None

@@ -79,8 +79,8 @@ def test_two_robots_explore_two_rooms(tmp_path: Path) -> None:
 
 def test_a_car_follows_a_path_past_others(tmp_path: Path) -> None:
     passing = kinds.mpcc(other=kinds.OTHER + kinds.AROUND)
-    scenario = jx.PathScenario(
-        passing.model, kinds.RING, laps=2, **kinds.SHARED, faults=kinds.NO_FAULTS
+    scenario = jx.PathScenario(passing.model, kinds.RING, laps=2, **kinds.SHARED).with_disturbances(
+        [kinds.NO_FAULTS]
     )
     run, again = (
         jx.simulate(passing.controller, scenario, 200, key=KEY, num_trajectories=0)

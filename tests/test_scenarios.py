@@ -55,8 +55,8 @@ def test_each_builds_with_a_portfolio_and_what_it_says(made, name: str) -> None:
     np.testing.assert_allclose(scenario.start[:3], world["start"], atol=1e-6)
     assert scenario.num_targets == len(world.get("targets", ()))
     assert (scenario.ground is None) == ("hills" not in world)
-    movers = 0 if scenario.moving_obstacles is None else len(scenario.moving_obstacles.radius)
-    assert movers == len(world.get("movers", ()))
+    movers = [each for each in scenario.truths if isinstance(each, jx.MovingObstacles)]
+    assert sum(len(each.radius) for each in movers) == len(world.get("movers", ()))
     assert experiment.num_steps == round(entries["time_limit"] * 50)
     # All of what is to be explored can be got to, or nearly.
     free = np.asarray(scenario.world.is_free)

@@ -102,6 +102,9 @@ if TYPE_CHECKING:
     from jaxplore.parameters import find_parameter as find_parameter
     from jaxplore.parameters import get_parameters as get_parameters
     from jaxplore.parameters import set_parameters as set_parameters
+    from jaxplore.parts import Faults as Faults
+    from jaxplore.parts import MovingObstacles as MovingObstacles
+    from jaxplore.parts import Variation as Variation
     from jaxplore.planning import FieldNumbers as FieldNumbers
     from jaxplore.planning import Flight as Flight
     from jaxplore.planning import Mission as Mission
@@ -121,15 +124,12 @@ if TYPE_CHECKING:
     from jaxplore.sensing import RingLidar as RingLidar
     from jaxplore.sensing import Sensor as Sensor
     from jaxplore.simulation import ExplorationScenario as ExplorationScenario
-    from jaxplore.simulation import Faults as Faults
     from jaxplore.simulation import Fleet as Fleet
-    from jaxplore.simulation import MovingObstacles as MovingObstacles
     from jaxplore.simulation import PathScenario as PathScenario
     from jaxplore.simulation import Radio as Radio
     from jaxplore.simulation import Run as Run
     from jaxplore.simulation import Scenario as Scenario
     from jaxplore.simulation import Traffic as Traffic
-    from jaxplore.simulation import Variation as Variation
     from jaxplore.simulation import VolumeScenario as VolumeScenario
     from jaxplore.simulation import simulate as simulate
     from jaxplore.study import compare as compare
@@ -207,7 +207,7 @@ _PACKAGES = {
         "three_zones",
     ],
     "parameters": ["find_parameter", "get_parameters", "set_parameters"],
-    "parts": [],
+    "parts": ["Faults", "MovingObstacles", "Variation"],
     "planning": [
         "FieldNumbers",
         "Flight",
@@ -225,15 +225,12 @@ _PACKAGES = {
     "sensing": ["Camera", "DepthCamera", "InverseSensorModel", "Lidar", "RingLidar", "Sensor"],
     "simulation": [
         "ExplorationScenario",
-        "Faults",
         "Fleet",
-        "MovingObstacles",
         "PathScenario",
         "Radio",
         "Run",
         "Scenario",
         "Traffic",
-        "Variation",
         "VolumeScenario",
         "simulate",
     ],

@@ -22,8 +22,7 @@ def carried(alone, **faults) -> Fleet:
         perception=alone.perception,
         control_rate=20.0,
         field_rate=4.0,
-        faults=Faults(**faults),
-    )
+    ).with_disturbances([Faults(**faults)])
     return Fleet(one, STARTS[:2], plan_length=10)
 
 

@@ -17,7 +17,7 @@ from jaxplore.control.stops import LOST
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.localisation import Localiser, Odometry
 from jaxplore.maps.clearance import clearance_field
-from jaxplore.parts import IdlenessMap, KeepOut
+from jaxplore.parts import Faults, IdlenessMap, KeepOut, Variation
 from jaxplore.parts.watch.report import WatchRecord, WatchReport
 from jaxplore.parts.wheels.report import WheelRecord, WheelReport
 from jaxplore.report.compute import Timing
@@ -26,13 +26,11 @@ from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.robot.localisation import Localisation
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.radio import NEVER, Radio
 from jaxplore.simulation.fleet.scenario import Fleet
 from jaxplore.simulation.fleet.starts import near_starts
 from jaxplore.simulation.loop import initial_loop_state, moment_at, run_chunk
 from jaxplore.simulation.run import Run
-from jaxplore.simulation.variation import Variation
 
 pytestmark = pytest.mark.long
 
@@ -60,9 +58,9 @@ def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, run) ->
         field_rate=4.0,
         localisation=LOCALISATION,
         target_coverage=0.99,
-        faults=Faults(lost_odometry=(2.0, 2.3), carried_at=3.0),
     ).with_guard(MotionGuard())
-    alone = alone.with_variation(VARIATION)
+    faults = Faults(lost_odometry=(2.0, 2.3), carried_at=3.0)
+    alone = alone.with_disturbances([VARIATION, faults])
     _, single = run(drive(has_others=False), alone, 70)
     _, together = run(*kinds.fleet(alone, STARTS[:1]), 70)
     assert np.ptp(single.state[:, 0]) > 0.3
@@ -103,7 +101,7 @@ def mixed(alone, drive, run):
     other = ExplorationScenario(
         alone.world, robot, lidar, STARTS[1], perception=perception, targets=TARGETS, **rates
     ).with_guard(MotionGuard())
-    other = other.with_variation(VARIATION)
+    other = other.with_disturbances([VARIATION])
     alone = ExplorationScenario(
         alone.world,
         alone.robot,

@@ -37,8 +37,9 @@ def scenario_in(
     world: OccupancyGrid, start, robot=ROBOT, goal=None, lidar=LIDAR, faults=None
 ) -> ExplorationScenario:
     perception = Perception(lidar, 0.1, 0.2, num_directions=16, margin=0.05, goal=goal)
-    parts = {"perception": perception, "goal": goal, "faults": faults}
-    return ExplorationScenario(world, robot, lidar, start, **parts, target_coverage=0.97)
+    parts = {"perception": perception, "goal": goal}
+    made = ExplorationScenario(world, robot, lidar, start, **parts, target_coverage=0.97)
+    return made.with_disturbances([] if faults is None else [faults])
 
 
 @pytest.fixture(scope="session")

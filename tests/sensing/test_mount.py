@@ -10,7 +10,7 @@ import pytest
 from jaxplore import Lidar, OccupancyGrid
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.mount import LidarMount, ScanMotion, project_scan
-from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
+from jaxplore.simulation.exploration.moving_discs import MovingDiscs
 from jaxplore.simulation.exploration.true_world import TrueWorld
 
 SIDE, TURN = 6.0, 0.1
@@ -30,7 +30,7 @@ def room() -> OccupancyGrid:
 
 @jax.jit
 def scan_world(lidar, pose, motion, moving=None):
-    truth = TrueWorld(room(), None, moving, jnp.zeros(()), is_told=False)
+    truth = TrueWorld(room(), None, lambda: moving, is_told=False)
     return truth.scans((lidar,), pose, KEY, motion)[0]
 
 

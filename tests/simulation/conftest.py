@@ -39,9 +39,10 @@ def make():
     robot = DifferentialDrive(max_speed=1.0)
     lidar = Lidar(num_beams=72, max_range=1.5, range_noise=0.01)
 
-    def make(world=None, start=(3.0, 2.0, 0.0), *, rates=None, target=0.97, **costs):
+    def make(world=None, start=(3.0, 2.0, 0.0), *, rates=None, faults=None, target=0.97, **costs):
         world = u_shaped_world() if world is None else world
         perception = Perception(lidar, 0.1, 0.2, num_directions=16, margin=0.05)
+        # So that runs with a fault are the same program, there are faults always.
         scenario = ExplorationScenario(
             world,
             robot,
@@ -49,9 +50,8 @@ def make():
             start,
             perception=perception,
             target_coverage=target,
-            # So that runs with a fault are the same program.
-            **{"faults": Faults()} | ({} if rates is None else rates),
-        )
+            **({} if rates is None else rates),
+        ).with_disturbances([Faults() if faults is None else faults])
         return explorer(robot, horizon=30, num_samples=128, **costs), scenario
 
     return make

@@ -11,8 +11,8 @@ import pytest
 import jaxplore as jx
 from jaxplore.control.stops import LOST
 from jaxplore.localisation import Localiser, LoopCloser, ParticleFilter, ParticleLocaliser
-from jaxplore.simulation import Faults, Localisation
-from jaxplore.simulation.exploration.carrying import landing
+from jaxplore.parts import Faults
+from jaxplore.simulation import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
 from jaxplore.simulation.run import simulate
@@ -35,7 +35,7 @@ def rooms() -> jx.OccupancyGrid:
 
 def scenario_with(faults: Faults, **options) -> ExplorationScenario:
     known = ParticleFilter(num_particles=1000, num_beams=45, **options)
-    return ExplorationScenario(
+    made = ExplorationScenario(
         rooms(),
         ROBOT,
         LIDAR,
@@ -44,9 +44,9 @@ def scenario_with(faults: Faults, **options) -> ExplorationScenario:
         prior=rooms(),
         goal=GOAL,
         goal_radius=0.6,
-        faults=faults,
         localisation=Localisation(localiser=ParticleLocaliser(known)),
-    ).with_guard(jx.MotionGuard())
+    )
+    return made.with_disturbances([faults]).with_guard(jx.MotionGuard())
 
 
 CONTROLLER = jx.explorer(ROBOT, horizon=30, num_samples=128)
@@ -192,15 +192,15 @@ def test_the_place_is_drawn_by_the_key_where_the_robot_can_drive() -> None:
     reachable, frame = CARRIED.map_arrays.reachable, CARRIED.map_arrays.world.frame
     faults = Faults(carried_at=1.0)
     keys = jax.random.split(jax.random.key(0), 400)
-    drawn = jax.jit(jax.vmap(lambda key: landing(faults, reachable, frame, key)))
+    drawn = jax.jit(jax.vmap(lambda key: faults.landing(reachable, frame, key)))
     places = drawn(keys)
     row, column = np.asarray(jax.jit(jax.vmap(frame.to_cell))(places[:, :2])).T
     assert np.asarray(reachable)[row, column].all()
     # In both rooms, as often as their cells.
     left = np.asarray(reachable)[:, :42].sum() / np.asarray(reachable).sum()
     assert np.mean(column < 42) == pytest.approx(left, abs=4.0 * 0.5 / 20.0)
-    np.testing.assert_allclose(landing(faults, reachable, frame, keys[3]), places[3], atol=1e-6)
-    assert landing(Faults(), reachable, frame, keys[0]) is None
+    np.testing.assert_allclose(faults.landing(reachable, frame, keys[3]), places[3], atol=1e-6)
+    assert Faults().landing(reachable, frame, keys[0]) is None
 
 
 def test_from_an_unknown_start_it_finds_itself_by_scans() -> None:
@@ -244,6 +244,4 @@ def test_impossible_arguments_are_refused() -> None:
         Localisation(localiser=Localiser(), **given)
     for place in ((99.0, 1.0, 0.0), (4.25, 1.0, 0.0)):
         with pytest.raises(ValueError, match=r"carried_to is \[.*accepted: a pose at which"):
-            ExplorationScenario(
-                rooms(), ROBOT, LIDAR, START, faults=Faults(carried_at=1.0, carried_to=place)
-            )
+            CARRIED.with_disturbances([Faults(carried_at=1.0, carried_to=place)])

@@ -342,7 +342,6 @@ def test_the_end_is_the_goal_and_a_known_map(
         Judged(None, progress, jnp.zeros(0, bool), None),
         Gain(progress.coverage, nothing),
         finished=jnp.zeros((), int),
-        moving_obstacles=None,
         ranges=jnp.zeros(0),
         motion=Motion(jnp.asarray(speed), jnp.asarray(turn_rate)),
         truths={},

@@ -251,7 +251,7 @@ def test_one_of_several_scenarios_is_as_it_is_alone(make, controls, other_world,
 
 
 def test_a_blind_robot_keeps_its_last_scan(make, controls) -> None:
-    _, faulty = make(rates={"faults": Faults(scan_dropout=(0.15, 0.35))})
+    _, faulty = make(faults=Faults(scan_dropout=(0.15, 0.35)))
     environment = controls(faulty)
     state, outcome = reset(environment)
     scans = [np.asarray(outcome.observation["scan"])]

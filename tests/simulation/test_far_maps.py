@@ -119,5 +119,5 @@ def test_scenarios_that_differ_in_their_datum_share_a_program(make) -> None:
     assert structures[0] == structures[1]
     assert hash(structures[0]) == hash(structures[1])
     Stacked.from_trees([here, there])
-    for changed in (there.with_variation(None), there.for_batches()):
+    for changed in (there.with_disturbances([]), there.for_batches()):
         assert changed.datum == DATUM

@@ -197,7 +197,7 @@ def test_a_map_made_with_frozen_odometry_is_out_of_place() -> None:
 @pytest.fixture(scope="module")
 def late():
     """Return commands, and a run in a yard with them, three periods late."""
-    commands, yard = wandering(0), Yard(ROBOT, faults=Faults(control_delay=3))
+    commands, yard = wandering(0), Yard(ROBOT, disturbed_by=(Faults(control_delay=3),))
     controller, key = Script(jnp.asarray(commands)), jax.random.key(0)
     begin = initial_loop_state(controller, yard)
     count = jnp.asarray(60, jnp.int32)
@@ -222,7 +222,7 @@ def test_until_commands_arrive_there_is_the_default_one(late) -> None:
     idle = jnp.asarray([0.25, -2.0])  # no control is the least one
     robot = eqx.tree_at(lambda each: each.control_min, ROBOT, idle)
     state = initial_loop_state(
-        Script(jnp.asarray(late[0])), Yard(robot, faults=Faults(control_delay=3))
+        Script(jnp.asarray(late[0])), Yard(robot, disturbed_by=(Faults(control_delay=3),))
     )
     np.testing.assert_array_equal(state.pending, [[0.25, 0.0]] * 3)
 
@@ -286,7 +286,7 @@ def test_the_same_key_gives_the_same_run_and_times_do_not_compile_again(walled) 
 
 
 def test_mppi_keeps_its_head_while_it_is_lost(small_experiment) -> None:
-    mppi, scenario = small_experiment(rates={"faults": Faults(lost_odometry=(0.5, 1.0)), **RATES})
+    mppi, scenario = small_experiment(rates=RATES, faults=Faults(lost_odometry=(0.5, 1.0)))
     lost = run(scenario, controller=mppi.at_period(PERIOD), capacity=25)
     records = lost.records
     assert np.isfinite(records.control).all()
@@ -317,7 +317,8 @@ def test_what_is_told() -> None:
     faults = Faults(lost_odometry=(1.0, 2.0), frozen_odometry=(1.5, 3.0))
     state, last = jnp.arange(5.0), jnp.arange(5.0) + 10.0
     for time, expected in ((0.5, state), (1.0, np.nan), (1.7, np.nan), (2.0, last), (3.0, state)):
-        told = faults.observe(state, last, jnp.asarray(time), jnp.asarray(0.1))
+        now = jnp.asarray(time), jnp.asarray(0.1), jax.random.key(0)
+        told = faults.observe(ROBOT, state, last, None, *now)
         np.testing.assert_array_equal(told, jnp.broadcast_to(jnp.asarray(expected), 5))
 
 

@@ -4,7 +4,6 @@ what goes wrong in flight."""
 import functools
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,9 +51,7 @@ def fly(
     controller: Controller, scenario: ExplorationScenario, faults: Faults | None = None
 ) -> Flight:
     if faults is not None:
-        scenario = eqx.tree_at(
-            lambda each: each.faults, scenario, faults, is_leaf=lambda leaf: leaf is None
-        )
+        scenario = scenario.with_disturbances([faults])
     controller, key = controller.at_period(scenario.control_period), jax.random.key(0)
     state = initial_loop_state(controller, scenario)
     unknown, rows = float(state.task.progress.unknown), []

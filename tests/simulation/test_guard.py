@@ -94,12 +94,13 @@ def scenario(
         (0.6, 1.5, 0.0),
         perception=perception,
         target="never",
-        faults=Faults(**NO_WALLS) if faults is None else faults,
         control_rate=20.0,
         sensing_rate=10.0,
         field_rate=5.0,
-    ).with_variation(Variation(control_delay=(0, 4)) if variation is None else variation)
-    return made.with_guard(MotionGuard())
+    )
+    varied = Variation(control_delay=(0, 4)) if variation is None else variation
+    failing = Faults(**NO_WALLS) if faults is None else faults
+    return made.with_disturbances([varied, failing]).with_guard(MotionGuard())
 
 
 def drive(
@@ -107,7 +108,9 @@ def drive(
 ) -> Watched:
     controller, key = ToTheWall(jnp.asarray(brake_at)), jax.random.key(seed)
     state = initial_loop_state(controller, task, key)
-    state = eqx.tree_at(lambda at: at.drawn.control_delay, state, jnp.asarray(delay, jnp.int32))
+    state = eqx.tree_at(
+        lambda at: at.drawn["variation"].control_delay, state, jnp.asarray(delay, jnp.int32)
+    )
     first = np.asarray(state.task.robot)[None]
     state, records, done = run_chunk(
         (controller, task, key, jnp.asarray(STEPS, jnp.int32)), copy_tree(state), STEPS

@@ -27,7 +27,7 @@ def test_an_omnidirectional_robot_explores_with_delayed_commands() -> None:
     }
     experiment = build(make_settings(settings))
     assert isinstance(experiment.controller, LatencyCompensation)
-    assert experiment.scenario.faults.control_delay == 5
+    assert experiment.scenario.disturbances.longest_delay == 5
     run = simulate(
         experiment.controller, experiment.scenario, 250, key=experiment.key, num_trajectories=0
     )
@@ -58,7 +58,7 @@ def test_every_architecture_compensates_for_a_latency(entries) -> None:
     plain = build(make_settings(entries))
     late = build(make_settings({**entries, "latency": 0.15, "faults": {"control_delay": 2}}))
     assert not isinstance(plain.controller, LatencyCompensation)
-    assert plain.scenario.faults is None
+    assert plain.scenario.disturbed_by == ()
     assert isinstance(late.controller, LatencyCompensation)
     assert type(late.controller.controller) is type(plain.controller)
     assert late.controller.robot is late.scenario.robot

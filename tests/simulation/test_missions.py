@@ -122,8 +122,7 @@ def scenario(
         sensing_rate=0.5 / PERIOD,
         field_rate=0.25 / PERIOD,
         targets=targets,
-        moving_obstacles=None if mover is None else MovingObstacles([mover]),
-        truths=[Wheels(chassis)],
+        truths=[Wheels(chassis), *([] if mover is None else [MovingObstacles([mover])])],
         **more,
     )
 
@@ -284,7 +283,7 @@ def watched() -> Watched:
         state, _ = advance(controller, given, state, 1 if scan == 0 else 2)
         tracks.append(jax.tree.map(np.asarray, state.task.belief.obstacles))
         times.append(2 * scan * PERIOD)
-    return Watched(state, float(state.task.moving_obstacles.phase[0]), tracks, times)
+    return Watched(state, float(state.task.truths["moving_obstacles"][0]), tracks, times)
 
 
 POSE = np.array([4.0, 3.7, math.pi / 2])
@@ -337,7 +336,7 @@ def test_what_moves_leaves_no_ghosts_in_the_map(watched) -> None:
 def test_what_runs_into_a_standing_robot_is_a_collision() -> None:
     mover = MovingObstacle(((1.5, 3.2), (6.5, 3.2)), 1.0, 0.3)
     outcome = drive(scenario(start=(4.0, 3.0, 0.3), mover=mover), 200)
-    phase = float(outcome.state.task.moving_obstacles.phase[0])
+    phase = float(outcome.state.task.truths["moving_obstacles"][0])
     away = [np.hypot(*(place(mover, phase, PERIOD * (k + 1)) - (4.0, 3.0))) for k in range(200)]
     gap = np.array(away) - 0.3 - 0.25
     assert np.abs(gap).min() > 1e-4
@@ -354,12 +353,14 @@ def test_where_it_begins_depends_on_the_key_alone() -> None:
     first, again, other = (drive(given, 6, (1.0, 0.5), seed) for seed in (3, 3, 4))
     for one, two in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, two)
-    phases = [float(each.state.task.moving_obstacles.phase[0]) for each in (first, other)]
+    phases = [float(each.state.task.truths["moving_obstacles"][0]) for each in (first, other)]
     assert phases[0] != phases[1]
     assert all(0.0 <= phase < 1.0 for phase in phases)
     controller, moved = begin(scenario(start=(2.0, 2.0, 1.0), mover=CROSSING), (0.3, 0.0), 3)
-    assert float(moved.task.moving_obstacles.phase[0]) == phases[0]
-    found = [float(begin(given, seed=seed)[1].task.moving_obstacles.phase[0]) for seed in range(12)]
+    assert float(moved.task.truths["moving_obstacles"][0]) == phases[0]
+    found = [
+        float(begin(given, seed=seed)[1].task.truths["moving_obstacles"][0]) for seed in range(12)
+    ]
     assert min(found) < 0.3
     assert max(found) > 0.7
     assert controller.command.shape == (2,)

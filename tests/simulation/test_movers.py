@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxplore.maps.world import MovingObstacle
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.parts import MovingObstacles
 
 PATHS = (
     MovingObstacle(((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), 1.5, 0.3),  # a round of 12 m
@@ -19,7 +19,7 @@ PATHS = (
 MOVERS = MovingObstacles(PATHS)
 PHASE = np.array([0.25, 0.9, 0.5, 0.6, 0.1, 0.33])
 at = jax.jit(jax.vmap(MovingObstacles.at, in_axes=(None, 0)))
-discs = jax.jit(jax.vmap(MovingObstacles.discs, in_axes=(None, 0)))
+discs = jax.jit(jax.vmap(lambda movers, time: movers.at(time).discs, in_axes=(None, 0)))
 
 
 def walk(mover, times, phase=0.0):
@@ -123,13 +123,12 @@ def test_discs_are_places_and_radii():
 
 def test_no_movers():
     for none in (
-        MovingObstacles.none(),
         MovingObstacles([]),
-        MovingObstacles.none().with_phase([]),
+        MovingObstacles([]).with_phase([]),
     ):
         found = none.at(jnp.float32(2.0))
         assert found.positions.shape == found.velocities.shape == (0, 2)
-        assert none.discs(jnp.float32(2.0)).shape == (0, 3)
+        assert found.discs.shape == (0, 3)
 
 
 def test_other_paths_speeds_and_phases_do_not_compile_again():

@@ -23,7 +23,7 @@ ALONE, PASSING = mpcc(), mpcc(other=OTHER + AROUND)
 @pytest.fixture(scope="module")
 def lap():
     """Two laps with traffic."""
-    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED, faults=NO_FAULTS)
+    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED).with_disturbances([NO_FAULTS])
     key = jax.random.key(0)
     run = jx.simulate(PASSING.controller, scenario, 2000, key=key, num_trajectories=0)
     return run, scenario
@@ -110,7 +110,8 @@ def test_a_resumed_run_equals_one_that_never_stopped(lap, check_equal) -> None:
 
 def test_a_path_far_away_is_followed_by_the_same_steps_and_recorded_where_it_is(lap) -> None:
     here, datum = lap[0].recording, jx.maps.Datum(500_000.0, 4_649_776.0)
-    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED, faults=NO_FAULTS, datum=datum)
+    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED, datum=datum)
+    scenario = scenario.with_disturbances([NO_FAULTS])
     before = run_chunk._cached._cache_size()
     key = jax.random.key(0)
     there = jx.simulate(PASSING.controller, scenario, 25, key=key, num_trajectories=0).recording
@@ -138,8 +139,7 @@ def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
         control_rate=40.0,
         growth=0.3,
         traffic=jx.Traffic(RING, [5.0, 9.0], [0.1, 0.2], [0.3, -0.8], radii=[0.2, 0.3]),
-        faults=NO_FAULTS,
-    )
+    ).with_disturbances([NO_FAULTS])
     costs = 7.0 * jx.ComfortCost(), 50.0 * jx.MovingObstacleCost(clearance=0.6, **KEEP)
     heavier = mpcc(other=costs[0] + costs[1], contouring_weight=3.0).controller
     run_chunk((heavier, moved, key, one), copy_tree(initial_loop_state(heavier, moved)), 25)
@@ -277,7 +277,7 @@ def test_what_is_no_traffic_is_refused(make, named) -> None:
     ],
 )
 def test_faults_are_those_of_any_task(lap, faults) -> None:
-    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED, faults=faults)
+    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED).with_disturbances([faults])
     before = run_chunk._cached._cache_size()
     run = record_run(PASSING.controller, scenario, 60, key=jax.random.key(0), num_trajectories=0)
     assert run_chunk._cached._cache_size() == before
@@ -295,7 +295,7 @@ def test_faults_are_those_of_any_task(lap, faults) -> None:
 def test_without_measurements_obstacles_are_predicted(lap) -> None:
     """What the robot knows in a dropout is the last measurement, moved on along its velocity."""
     faults = jx.Faults(scan_dropout=(0.1, 5.0))
-    scenario = jx.PathScenario(PASSING.model, RING, **SHARED, faults=faults)
+    scenario = jx.PathScenario(PASSING.model, RING, **SHARED).with_disturbances([faults])
 
     @jax.jit
     def seen():
@@ -320,8 +320,8 @@ def test_without_measurements_obstacles_are_predicted(lap) -> None:
     # And it is less certain of them.
     assert (less > more).all()
     walls = jx.Faults(walls=np.ones((2, 2), bool))
-    with pytest.raises(ValueError, match="faults has walls beside a path"):
-        jx.PathScenario(PASSING.model, RING, faults=walls)
+    with pytest.raises(ValueError, match="faults has walls without a map"):
+        jx.PathScenario(PASSING.model, RING).with_disturbances([walls])
 
 
 def test_an_agent_observes_the_path_ahead_in_the_frame_of_the_robot() -> None:

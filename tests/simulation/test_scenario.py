@@ -187,10 +187,6 @@ def scenario(**arguments) -> ExplorationScenario:
             {"prior": OccupancyGrid(np.zeros((30, 31)), 0.1)},
             r"prior has shape \(30, 31\); accepted: the world's, \(30, 30\)",
         ),
-        (
-            {"faults": Faults(walls=np.zeros((31, 30), bool))},
-            r"walls has shape \(31, 30\); accepted: the world's, \(30, 30\)",
-        ),
     ],
 )
 def test_a_bad_end_or_prior_is_named(arguments: dict, message: str) -> None:
@@ -301,6 +297,15 @@ def test_what_cannot_be_seen_or_reached_is_named(arguments: dict, message: str) 
     assert "\n" not in str(error.value)
 
 
+def test_disturbances_that_cannot_happen_are_named() -> None:
+    walls = Faults(walls=np.zeros((31, 30), bool))
+    message = r"walls has shape \(31, 30\); accepted: the world's, \(30, 30\)"
+    with pytest.raises(ValueError, match=message):
+        scenario().with_disturbances([walls])
+    with pytest.raises(ValueError, match=r"disturbances\[1\] is a second 'faults'; accepted: one"):
+        scenario().with_disturbances([Faults(), Faults()])
+
+
 def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
     assert scenario(goal=(1.5, 0.97), goal_radius=0.25).goal is not None
     # Across the wall, but near enough.
@@ -310,8 +315,9 @@ def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
 def test_no_sensor_and_no_mover() -> None:
     with pytest.raises(ValueError, match="sensors is empty; accepted: a Sensor, or a list of them"):
         ExplorationScenario(GRID, ROBOT, (), START)
-    assert scenario(moving_obstacles=MovingObstacles.none()).moving_obstacles is None
-    assert scenario().moving_obstacles is None
+    for still in (scenario(), scenario(truths=[MovingObstacles([])])):
+        assert still.perception.tracker is None
+        assert still.init(None)[0].truths == {}
     assert scenario().num_targets == 0
     assert scenario(targets=[(0.5, 0.5), (0.7, 0.5)]).num_targets == 2
 

@@ -9,8 +9,8 @@ from tests.kinds import Yard
 
 import jaxplore as jx
 from jaxplore.control.base import Controller, Info
+from jaxplore.parts.variation.plant import ContinuousPlant, Plant, as_plant
 from jaxplore.simulation.loop import copy_tree, initial_loop_state, run_chunk
-from jaxplore.simulation.plant import ContinuousPlant, Plant, as_plant
 from jaxplore.tasks.registry import build, make_settings
 
 pytestmark = pytest.mark.long
@@ -133,7 +133,7 @@ def test_slip_and_gain_are_those_of_the_formula() -> None:
 def test_only_the_physical_part_of_a_path_follower_varies() -> None:
     model = jx.mpcc(jx.Ackermann(), jx.race_track(seed=1)).model
     drawn = jx.Variation({"drag": (0.3, 0.3)}, gain=(0.5, 0.5)).draw(KEY, model)
-    varied = jx.Variation({"drag": (0.3, 0.3)}).robot(model, drawn, KEY)
+    varied = jx.Variation({"drag": (0.3, 0.3)}).true_robot(model, drawn, KEY)
     assert float(varied.physical.model.drag) == pytest.approx(0.3)
     state = model.at_pose(0.0, 0.0, 0.0)
     control = jnp.asarray([1.0, 0.0, 2.0])
@@ -161,30 +161,30 @@ def in_numpy(drawn) -> np.ndarray:
 
 
 def test_a_run_is_that_of_the_robot_that_was_drawn() -> None:
-    task, ends = YARD.with_variation(VARIED), set()
+    task, ends = YARD.with_disturbances([VARIED]), set()
     for seed in range(4):
         key = jax.random.key(seed)
         (states, observed), loop = drive(HOLD, task, key)
         drawn = VARIED.draw(key, ROBOT)
-        np.testing.assert_array_equal(loop.drawn.gain, drawn.gain)
+        np.testing.assert_array_equal(loop.drawn["variation"].gain, drawn.gain)
         np.testing.assert_allclose(states, in_numpy(drawn), atol=2e-5)
         np.testing.assert_array_equal(observed[1:], states[:-1])
         ends.add(float(states[-1, 0]))
     assert len(ends) == 4
     before = run_chunk._cached._cache_size()
-    drive(HOLD, YARD.with_variation(VARIED), jax.random.key(9))
+    drive(HOLD, YARD.with_disturbances([VARIED]), jax.random.key(9))
     assert run_chunk._cached._cache_size() == before
 
 
 def test_without_variation_a_run_is_as_it_was() -> None:
     (plain, _), loop = drive(HOLD, YARD, KEY)
-    assert loop.drawn is None
-    (same, _), _ = drive(HOLD, YARD.with_variation(jx.Variation()), KEY)
+    assert loop.drawn == {}
+    (same, _), _ = drive(HOLD, YARD.with_disturbances([jx.Variation()]), KEY)
     np.testing.assert_allclose(plain, same, atol=1e-6)
 
 
 def test_vmap_over_keys_has_a_robot_in_each_run() -> None:
-    task = YARD.with_variation(VARIED)
+    task = YARD.with_disturbances([VARIED])
     together, _ = jax.vmap(lambda key: drive(HOLD, task, key))(RUNS)
     for states, key in zip(together[0][:3], RUNS[:3], strict=True):
         np.testing.assert_allclose(states, in_numpy(VARIED.draw(key, ROBOT)), atol=2e-5)
@@ -200,7 +200,7 @@ def test_noise_is_that_of_the_commands_and_of_the_observations() -> None:
     still = Hold(jnp.asarray([0.4, 0.0]), 5)
     robot = jx.DifferentialDrive(max_speed=10.0, drag=0.1)
     (states, observed), _ = jax.vmap(
-        lambda key: drive(still, Yard(robot).with_variation(variation), key)
+        lambda key: drive(still, Yard(robot).with_disturbances([variation]), key)
     )(RUNS)
     turned = np.diff(states[..., 4], axis=1) / 0.05
     # The bound of alpha is 2, and a fifth of it is its noise.
@@ -215,9 +215,9 @@ def test_it_holds_for_path_following_and_commands_come_late_there_too() -> None:
     """For explorations too: `test_guard.py`."""
     model = jx.mpcc(jx.Ackermann(), jx.race_track(seed=1)).model
     faults = jx.Faults(control_delay=3)
-    path = jx.PathScenario(model, jx.race_track(seed=1), control_rate=20.0, faults=faults)
+    path = jx.PathScenario(model, jx.race_track(seed=1), control_rate=20.0)
     hold = Hold(jnp.asarray([0.5, 0.0, 0.5]), path.robot.state_size)
-    records, _ = drive(hold, path.with_variation(jx.Variation(slip=(0.3, 0.3))), KEY)
+    records, _ = drive(hold, path.with_disturbances([jx.Variation(slip=(0.3, 0.3)), faults]), KEY)
     # Three commands are under way before the first one takes effect, which is no fault.
     np.testing.assert_array_equal(records.control[:3], np.zeros((3, 3)))
     np.testing.assert_array_equal(records.control[3:], np.tile(hold.command, (STEPS - 3, 1)))
@@ -242,12 +242,12 @@ def test_it_holds_for_path_following_and_commands_come_late_there_too() -> None:
 def test_settings_describe_it_for_every_kind_of_task() -> None:
     section = {"gain": [0.7, 1.0], "slip": [0.0, 0.2], "parameters": {"drag": [0.0, 0.3]}}
     for entries in ({"map": "office"}, {"path": "track"}):
-        assert build(make_settings(entries)).scenario.variation is None
-        variation = build(make_settings({**entries, "variation": section})).scenario.variation
+        assert build(make_settings(entries)).scenario.disturbed_by == ()
+        (variation,) = build(make_settings({**entries, "variation": section})).scenario.disturbed_by
         np.testing.assert_allclose(variation.gain, [0.7, 1.0])
         np.testing.assert_allclose(variation.parameters["drag"], [0.0, 0.3])
-    assert Yard(ROBOT, variation=VARIED).variation is VARIED
-    assert YARD.with_variation(VARIED).with_variation(None).variation is None
+    assert Yard(ROBOT, disturbed_by=(VARIED,)).disturbed_by[0] is VARIED
+    assert YARD.with_disturbances([VARIED]).with_disturbances([]).disturbed_by == ()
 
 
 @pytest.mark.parametrize(
@@ -280,4 +280,4 @@ def test_what_is_no_interval_is_refused(given, said) -> None:
 )
 def test_a_parameter_that_the_robot_does_not_have_is_refused(name, said) -> None:
     with pytest.raises(ValueError, match=rf"^{said}"):
-        YARD.with_variation(jx.Variation({name: (-1.0, 2.0)}))
+        YARD.with_disturbances([jx.Variation({name: (-1.0, 2.0)})])

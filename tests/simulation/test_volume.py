@@ -93,7 +93,7 @@ def test_walls_that_appear_are_solid_and_seen() -> None:
     fallen = np.zeros((12, 20, 40), bool)
     fallen[1:-1, 1:-1, 20] = True  # x from 4.0 to 4.2 m
     faults = jx.Faults(walls=fallen, walls_from=1.0)
-    given = volume(False, (2.0, 2.0, 1.2, 0.0), faults=faults)
+    given = volume(False, (2.0, 2.0, 1.2, 0.0)).with_disturbances([faults])
     state, _ = given.init(None)
     moment, info = _moment(given)
     look = eqx.filter_jit(lambda now: given.perceive(state, now, jax.random.key(0))[0].belief)
@@ -325,15 +325,21 @@ def test_a_volume_is_drawn_from_its_seed(kind: str) -> None:
         ({"start": (1.0, 2.0)}, r"start is \(1.0, 2.0\); accepted: 4 finite"),
         ({"sensing_rate": 7.0}, "sensing_rate is 7"),
         ({"give_up_after": 0.0}, "give_up_after is 0"),
-        (
-            {"faults": jx.Faults(walls=np.zeros((20, 40), bool))},
-            r"walls has shape \(20, 40\); accepted: the world's, \(12, 20, 40\)",
-        ),
     ],
 )
 def test_what_is_not_possible_is_refused(change: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         volume(**change)
+
+
+def test_faults_that_cannot_happen_in_a_volume_are_refused() -> None:
+    flat = jx.Faults(walls=np.zeros((20, 40), bool))
+    for faults, message in (
+        (flat, r"walls has shape \(20, 40\); accepted: the world's, \(12, 20, 40\)"),
+        (jx.Faults(carried_at=1.0), "faults has carried_at in a volume; accepted: faults without"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            volume().with_disturbances([faults])
 
 
 @pytest.mark.parametrize(

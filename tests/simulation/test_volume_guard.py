@@ -11,9 +11,9 @@ from jaxplore.control import MotionGuard
 from jaxplore.control.stops import REASONS
 from jaxplore.control.validation import StopCheck
 from jaxplore.maps import MovingObstacle
+from jaxplore.parts import MovingObstacles
 from jaxplore.robot.volume_points import MOVER_SPEED, volume_points
 from jaxplore.sensing.volume import VolumeScan
-from jaxplore.simulation import MovingObstacles
 from jaxplore.simulation.run import record_run
 
 pytestmark = pytest.mark.long
@@ -26,7 +26,7 @@ PEOPLE = MovingObstacles([MovingObstacle(((5.4, 1.0), (5.4, 2.4)), 0.4, 0.25)])
 
 @pytest.fixture(scope="module")
 def run():
-    given = volume(moving_obstacles=PEOPLE, faults=jx.Faults(scan_dropout=DROPOUT))
+    given = volume(truths=[PEOPLE]).with_disturbances([jx.Faults(scan_dropout=DROPOUT)])
     guarded = given.with_guard(MotionGuard(check=StopCheck(0.0, evades=True)))
     flying = jx.volume_explorer(QUADROTOR, horizon=20, num_samples=128, has_moving_obstacles=True)
     return record_run(flying, guarded, 160, key=jax.random.key(0), num_trajectories=0)

@@ -15,9 +15,9 @@ from tests.kinds import CAMERA, QUADROTOR, SIDE, room, volume
 import jaxplore as jx
 from jaxplore.costs import VolumeGoalCost, VolumeGuidanceCost
 from jaxplore.maps import MovingObstacle
+from jaxplore.parts import MovingObstacles
 from jaxplore.planning import GoalApproach
 from jaxplore.report.drawing.colours import MOVER
-from jaxplore.simulation import MovingObstacles
 from jaxplore.simulation.run import record_run
 from jaxplore.simulation.volume.people import Cylinders, distance_along, floor_plan
 
@@ -48,9 +48,7 @@ def run(controller):
     seen = jx.VolumePerception(
         [CAMERA], SIDE, QUADROTOR.radius, goal=GOAL, goal_heading=1.0, parts=[BOXES]
     )
-    given = volume(
-        start=START, goal=GOAL, goal_heading=1.0, perception=seen, moving_obstacles=PEOPLE
-    )
+    given = volume(start=START, goal=GOAL, goal_heading=1.0, perception=seen, truths=[PEOPLE])
     return record_run(controller, given, 600, key=jax.random.key(0), num_trajectories=0)
 
 
@@ -143,9 +141,9 @@ def test_a_robot_is_told_of_whom_it_sees() -> None:
     # One person before the camera, one behind it, and one behind the half wall.
     places = ((2.2, 2.0), (0.3, 2.0), (4.2, 0.8))
     people = MovingObstacles([MovingObstacle((place,), 0.0, 0.2) for place in places])
-    given = volume(start=(1.0, 2.0, 1.2, 0.0), moving_obstacles=people, tracking_noise=(0.0, 0.0))
+    given = volume(start=(1.0, 2.0, 1.2, 0.0), truths=[people], tracking_noise=(0.0, 0.0))
     world, at = given.world, jnp.array([1.0, 2.0, 1.2])
-    there = Cylinders.of(given.moving_obstacles, world, jnp.zeros(()))
+    there = Cylinders.of(people.at(jnp.zeros(())), world)
     told = there.tell(given.sensors, world, at, jnp.eye(3), jnp.zeros(2), jax.random.key(0))
     np.testing.assert_array_equal(told.is_seen, [True, False, False])
     np.testing.assert_allclose(told.positions, places, atol=1e-6)

@@ -26,7 +26,7 @@ from jaxplore.settings.sections import Section, read_settings, section_class
 from jaxplore.simulation.exploration import scenario as scenario_module
 from jaxplore.simulation.exploration.reachability import drivable_cells
 from jaxplore.tasks.exploration.settings import SCENARIOS, ExplorationSettings, scenario_path
-from jaxplore.tasks.path.settings import PathSettings
+from jaxplore.tasks.path.settings import PathFollowingSettings
 from jaxplore.tasks.reference import own_descriptions
 from jaxplore.tasks.registry import build, make_settings
 from jaxplore.tasks.volume.settings import VolumeExplorationSettings
@@ -245,7 +245,7 @@ def sections(kind: type[Section]) -> list[type[Section]]:
 
 SECTIONS = [
     *sections(ExplorationSettings),
-    *sections(PathSettings),
+    *sections(PathFollowingSettings),
     *sections(VolumeExplorationSettings),
 ]
 
@@ -318,7 +318,11 @@ def test_every_number_of_a_preset_is_a_setting(owner: Callable[..., Any]) -> Non
 
 
 def test_differences_are_differences_and_have_a_reason() -> None:
-    owned = {"exploration": ExplorationSettings, "path": PathSettings, "drive": DriveSettings}
+    owned = {
+        "exploration": ExplorationSettings,
+        "path": PathFollowingSettings,
+        "drive": DriveSettings,
+    }
     owners = {
         "exploration.robot": jx.DifferentialDrive,
         "path.robot": jx.Ackermann,
@@ -388,15 +392,15 @@ def test_the_owner_s_signature_is_the_default() -> None:
     [
         ({"map": "office"}, ExplorationSettings),
         ({"map": "path", "world": {"size": [1.0, 1.0]}}, ExplorationSettings),
-        ({"map": "path"}, PathSettings),
-        ({"map": "path", "path": "a.csv"}, PathSettings),
-        ({"path": "track"}, PathSettings),
+        ({"map": "path"}, PathFollowingSettings),
+        ({"map": "path", "path": "a.csv"}, PathFollowingSettings),
+        ({"path": "track"}, PathFollowingSettings),
     ],
 )
 def test_entries_say_which_kind_of_run_they_are(entries: dict[str, Any], kind: type) -> None:
     found = make_settings(entries)
     assert type(found) is kind
-    if kind is PathSettings:
+    if kind is PathFollowingSettings:
         assert found.path == entries.get("path", "track")
 
 

@@ -61,12 +61,11 @@ class Walk(jx.Scenario):
     gate: jax.Array
     start: jax.Array
     control_period: jax.Array
-    faults: None
     metrics_type = Metrics
 
     def __init__(self, robot: jx.PointMass, gate: float = 2.0) -> None:
         self.robot, self.gate, self.start = robot, jnp.array(gate), jnp.zeros(4)
-        self.control_period, self.faults = jnp.array(0.1), None
+        self.control_period = jnp.array(0.1)
 
     def init(self, key):
         return WalkState(self.start), self.gate

@@ -14,7 +14,7 @@ from jaxplore.settings.readers import given_leaves, read_values
 from jaxplore.settings.sections import Section, section_class
 from jaxplore.tasks.commented_yaml import to_commented_yaml
 from jaxplore.tasks.exploration.settings import ExplorationSettings
-from jaxplore.tasks.path.settings import PathSettings
+from jaxplore.tasks.path.settings import PathFollowingSettings
 from jaxplore.tasks.reference import (
     Row,
     classes,
@@ -155,7 +155,7 @@ CASES: dict[str, dict[str, Any]] = {
 def read(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     """Return the names of the settings that are read from now on."""
     prefixes: dict[type, str] = {}
-    for kind in (ExplorationSettings, PathSettings, VolumeExplorationSettings):
+    for kind in (ExplorationSettings, PathFollowingSettings, VolumeExplorationSettings):
         prefixes[kind] = ""
         for name, field in kind.model_fields.items():
             inner = section_class(field.annotation)

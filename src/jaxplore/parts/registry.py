@@ -9,14 +9,22 @@ from jaxplore.belief.part import Part
 from jaxplore.parts.anomalies.settings import ANOMALIES
 from jaxplore.parts.battery.settings import BATTERY
 from jaxplore.parts.capability import Capability, Surroundings
+from jaxplore.parts.faults.settings import FAULTS
 from jaxplore.parts.keep_out.settings import KEEP_OUT, KEEP_OUT_BOXES
+from jaxplore.parts.moving.settings import PEOPLE, PEOPLE_IN_VOLUME
 from jaxplore.parts.recognition.settings import DETECTOR
+from jaxplore.parts.variation.settings import VARIATION
 from jaxplore.parts.watch.settings import WATCH
 from jaxplore.parts.wheels.settings import CHASSIS
 from jaxplore.settings.sections import RunSettings
+from jaxplore.simulation.disturbances import Disturbance
 from jaxplore.simulation.exploration.part_truth import PartTruth
 
 CAPABILITIES: tuple[Capability, ...] = (
+    VARIATION,
+    FAULTS,
+    PEOPLE,
+    PEOPLE_IN_VOLUME,
     WATCH,
     ANOMALIES,
     KEEP_OUT,
@@ -25,24 +33,31 @@ CAPABILITIES: tuple[Capability, ...] = (
     CHASSIS,
     BATTERY,
 )
-"""Capabilities, a row each. A robot has its parts in this order."""
+"""Capabilities, a row each. A robot has its parts and its disturbances in this order."""
 
 
 class Equipment(NamedTuple):
-    """What a robot has beside its map, and what is given as true of it."""
+    """What a robot has beside its map, what is given as true of it, arguments of its `Perception`,
+    and what disturbs it."""
 
     parts: tuple[Part, ...]
     truths: tuple[PartTruth, ...]
+    perception: dict[str, Any]
+    disturbances: tuple[Disturbance, ...]
 
 
 def with_capabilities[Settings: RunSettings](
     kind: type[Settings], dimensions: int = 2
 ) -> type[Settings]:
-    """Return a class of settings with a section for each capability, none of which is given."""
+    """Return a class of settings with a section for each capability."""
     sections: dict[str, Any] = {
-        each.name: (each.settings | None, Field(default=None, description=each.meaning))
+        each.name: (
+            (each.settings | None, Field(default=None, description=each.meaning))
+            if each.is_optional
+            else (each.settings, Field(default=each.settings(), description=each.meaning))
+        )
         for each in CAPABILITIES
-        if each.dimensions == dimensions
+        if each.dimensions in (None, dimensions)
     }
     made: type[Settings] = create_model(
         kind.__name__, __base__=kind, __module__=kind.__module__, __doc__=kind.__doc__, **sections
@@ -60,6 +75,8 @@ def build_parts(settings: RunSettings, surroundings: Surroundings) -> Equipment:
     return Equipment(
         tuple(each.part for each in built if each.part is not None),
         tuple(each.truth for each in built if each.truth is not None),
+        {name: value for each in built for name, value in each.perception.items()},
+        tuple(each.disturbance for each in built if each.disturbance is not None),
     )
 
 
@@ -73,5 +90,5 @@ def _given(settings: RunSettings) -> Iterator[tuple[Capability, Any]]:
     """Yield the capabilities whose section is given, and the section."""
     for each in CAPABILITIES:
         own = getattr(settings, each.name, None)
-        if isinstance(own, each.settings):
+        if type(own) is each.settings:
             yield each, own

@@ -47,11 +47,8 @@ from jaxplore._spelling import match_spelling
 from jaxplore._text import printable_path, short_repr
 from jaxplore.settings.accepted_values import describe_accepted
 from jaxplore.settings.code_names import check_trusted
-from jaxplore.settings.defaults import setting
 from jaxplore.settings.readers import EVERY, Readers
 from jaxplore.settings.readers import section_class as section_class
-from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.variation import Variation
 
 
 def _not_tiny(value: float) -> float:
@@ -129,36 +126,6 @@ class Section(BaseModel):
         )
 
 
-class FaultSettings(Section):
-    """Injected faults: see `jaxplore.Faults`."""
-
-    scan_dropout: Interval = setting(Faults, "scan_dropout")
-    lost_odometry: Interval = setting(Faults, "lost_odometry")
-    frozen_odometry: Interval = setting(Faults, "frozen_odometry")
-    control_delay: Delay = setting(Faults, "control_delay")
-    carried_at: Wait | None = setting(Faults, "carried_at")
-    carried_to: tuple[Real, Real, Real] | None = setting(Faults, "carried_to")
-
-
-class VariationSettings(Section):
-    """The variation of the true robot from episode to episode: see `jaxplore.Variation`.
-
-    Args:
-        parameters: intervals of parameters of the robot's model by their path, such as `drag`.
-    """
-
-    parameters: Annotated[dict[str, tuple[Real, Real]], Field(max_length=MOST_NAMES)] = Field(
-        default_factory=dict
-    )
-    gain: Positives = setting(Variation, "gain")
-    slip: Interval = setting(Variation, "slip")
-    turn_slip: Interval = setting(Variation, "turn_slip")
-    control_delay: Delays = setting(Variation, "control_delay")
-    control_noise: Interval = setting(Variation, "control_noise")
-    position_noise: Interval = setting(Variation, "position_noise")
-    heading_noise: Interval = setting(Variation, "heading_noise")
-
-
 ADAPTIVE = Readers(
     "runs with adaptive_horizon.rule",
     lambda settings: settings.adaptive_horizon.rule is not None,
@@ -194,8 +161,6 @@ class RunSettings(Section):
         latency: time between an observation and the effect of its command, for which the
             controller plans: see `jaxplore.LatencyCompensation` [s].
         adaptive_horizon: a horizon that each step chooses anew.
-        faults: injected faults.
-        variation: variation of the true robot from episode to episode.
         time_limit: simulated time after which the run ends [s].
         seed: seed of all random numbers of the run.
         parameters: controller parameters by path, which override those that follow from the other
@@ -208,8 +173,6 @@ class RunSettings(Section):
     parameters: Parameters = Field(default_factory=dict)
     latency: Latency = 0.0
     adaptive_horizon: AdaptiveHorizonSettings = AdaptiveHorizonSettings()
-    faults: FaultSettings = FaultSettings()
-    variation: VariationSettings = VariationSettings()
 
 
 def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -24,10 +24,8 @@ from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording, move_records
 from jaxplore.robot.decision import Driver
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.disturbances import Disturbances
-from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.disturbances import Disturbance, Disturbances, Place
 from jaxplore.simulation.state import LoopState, Moment
-from jaxplore.simulation.variation import Variation
 
 type Inspect = Callable[[StateVector, Any], SampledPlan]
 """Function from an observed state and a belief to the sampled plan of the controller's step."""
@@ -50,10 +48,8 @@ class Scenario(eqx.Module):
     """State (nx,) of the robot at the start."""
     control_period: eqx.AbstractVar[Scalar]
     """Time between controls [s]."""
-    faults: eqx.AbstractVar[Faults | None]
-    """Injected faults; None without any."""
-    variation: Variation | None = dataclasses.field(default=None, kw_only=True)
-    """Variation of the robot from episode to episode; None without any. See `with_variation`."""
+    disturbed_by: tuple[Disturbance, ...] = dataclasses.field(default=(), kw_only=True)
+    """What makes the robot and the world differ from their model. See `with_disturbances`."""
     placed: HostOnly[Datum] = eqx.field(static=True, default=HostOnly(ORIGIN), kw_only=True)
     """Holder of `datum`."""
     guard: MotionGuard | None = dataclasses.field(default=None, kw_only=True)
@@ -74,18 +70,28 @@ class Scenario(eqx.Module):
         return round(float(self.control_period), 7)
 
     @_kinds.check_arguments
-    def with_variation[S: "Scenario"](self: S, variation: Variation | None) -> S:
-        """Return the scenario with a robot that varies from episode to episode.
+    def with_disturbances[S: "Scenario"](self: S, disturbances: Sequence[Disturbance]) -> S:
+        """Return the scenario with these disturbances, such as `Variation` and `Faults`.
 
         Args:
-            variation: distributions of the true robot; None for none.
+            disturbances: one of a name; measurements pass through them in this order.
 
         Raises:
-            ValueError: a variation of parameters that the robot does not have.
+            ValueError: something else, two of one name, or what cannot happen here.
         """
-        if variation is not None:
-            variation.check(self.robot)
-        return with_field(self, "variation", variation)
+        _kinds.instances("disturbances", disturbances, Disturbance)
+        for index, each in enumerate(disturbances):
+            if each.name in (other.name for other in disturbances[:index]):
+                raise ValueError(
+                    f"disturbances[{index}] is a second {each.name!r}; accepted: one of a name"
+                )
+            each.check(self.place)
+        return with_field(self, "disturbed_by", tuple(disturbances))
+
+    @property
+    def place(self) -> Place:
+        """What disturbances are checked by. A task in a map or a volume replaces it."""
+        return Place(self.robot, self.datum)
 
     @_kinds.check_arguments
     def with_guard[S: "Scenario"](self: S, guard: MotionGuard | None) -> S:
@@ -99,7 +105,7 @@ class Scenario(eqx.Module):
     @property
     def disturbances(self) -> Disturbances:
         """What the true robot differs by from its model, and what fails."""
-        return Disturbances(self.faults, self.variation)
+        return Disturbances(self.disturbed_by)
 
     def driver(self, controller: Controller | None = None) -> Driver:
         """Return what decides the commands: the controller, and the guard that watches over it.

@@ -41,8 +41,9 @@ class LoopState(NamedTuple):
 
     `task` is the state of the task, see `Scenario`. `observed` (nx,) is the state that the
     controller observed last. `pending` (D, nu) are the commands that have not taken effect yet,
-    oldest first. `drawn` is the variation of the episode, of a fleet that of each robot; None if no
-    robot varies. `guard` is the state of the guard, or those of a fleet; None without one.
+    oldest first. `drawn` is what disturbances have drawn of the episode, by name, of a fleet for
+    each robot; None where none acts. `guard` is the state of the guard, or those of a fleet; None
+    without one.
     """
 
     task: Any

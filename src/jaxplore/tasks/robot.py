@@ -23,7 +23,6 @@ from jaxplore.dynamics.omnidirectional import Omnidirectional
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.footprint import Rectangle
-from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -33,15 +32,8 @@ from jaxplore.sensing.mount import LidarMount
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.robot import RobotSettings, SensorModelSettings
-from jaxplore.settings.sections import (
-    AdaptiveHorizonSettings,
-    FaultSettings,
-    RunSettings,
-    VariationSettings,
-)
-from jaxplore.simulation.faults import Faults
+from jaxplore.settings.sections import AdaptiveHorizonSettings, RunSettings
 from jaxplore.simulation.scenario import Scenario
-from jaxplore.simulation.variation import Variation
 from jaxplore.tasks.exploration.settings import Settings
 from jaxplore.tasks.user_code import import_robot
 
@@ -111,24 +103,6 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
             **wheeled, min_speed=given.min_speed, max_lateral_speed=given.max_lateral_speed
         )
     return DifferentialDrive(**wheeled)
-
-
-def build_faults(given: FaultSettings, datum: Datum = ORIGIN) -> Faults | None:
-    """Build the injected faults; none at all by default, which leaves them out of the program."""
-    injected = arguments(given, Faults)
-    if injected == arguments(FaultSettings(), Faults):
-        return None
-    if given.carried_to is not None:
-        injected["carried_to"] = datum.to_local(given.carried_to)
-    return Faults(**injected)
-
-
-def build_variation(given: VariationSettings) -> Variation | None:
-    """Build the robot's variation; none at all by default, which leaves it out of the program."""
-    parameters, drawn = given.parameters, arguments(given, Variation)
-    if not parameters and drawn == arguments(VariationSettings(), Variation):
-        return None
-    return Variation(parameters, **drawn)
 
 
 _RULES: dict[str, Callable[..., HorizonRule]] = {

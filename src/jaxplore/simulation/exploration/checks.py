@@ -19,7 +19,6 @@ from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.reachability import to_grid
-from jaxplore.simulation.faults import Faults
 
 probability_at = jax.jit(OccupancyGrid.at)
 
@@ -190,7 +189,10 @@ def check_prior(prior: OccupancyGrid | None, world: OccupancyGrid, datum: Datum)
     """Check that a prior map has the cells of the world; when absent, return an unknown map."""
     if prior is None:
         return OccupancyGrid.unknown(world.crop(world.probability).shape, world.frame)
-    _check_shape("prior", prior.crop(prior.probability).shape, world)
+    shape, accepted_shape = (each.crop(each.probability).shape for each in (prior, world))
+    # A world that is padded already may come with a prior that is.
+    if shape not in (accepted_shape, world.shape):
+        raise ValueError(f"prior has shape {shape}; accepted: the world's, {accepted_shape}")
     is_near = np.allclose(prior.frame.origin, world.frame.origin, rtol=1e-6, atol=1e-6)
     if not is_near or prior.resolution != world.resolution:
         given, accepted = (
@@ -201,20 +203,6 @@ def check_prior(prior: OccupancyGrid | None, world: OccupancyGrid, datum: Datum)
             f"accepted: the world's, {world.resolution:g} m at {accepted}"
         )
     return prior
-
-
-def check_faults(faults: Faults | None, world: OccupancyGrid) -> Faults | None:
-    """Check that walls that appear have the shape of the world, and return the faults."""
-    if faults is not None and faults.walls is not None:
-        _check_shape("walls", faults.walls.shape, world)
-    return faults
-
-
-def _check_shape(name: str, shape: tuple[int, ...], world: OccupancyGrid) -> None:
-    accepted = world.crop(world.probability).shape
-    # A world that is padded already may come with parts that are.
-    if shape not in (accepted, world.shape):
-        raise ValueError(f"{name} has shape {shape}; accepted: the world's, {accepted}")
 
 
 def _is_same_ground(ground: Ground | None, other: Ground | None) -> bool:

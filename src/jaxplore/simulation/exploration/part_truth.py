@@ -1,6 +1,6 @@
 """The protocol of what is true of a part of a robot, and is not known to it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -18,6 +18,7 @@ from jaxplore.maps.datum import Datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.part import PartReport
 from jaxplore.sensing.base import Sensor
+from jaxplore.simulation.exploration.moving_discs import MovingDiscs
 from jaxplore.simulation.exploration.true_world import TrueWorld
 
 
@@ -108,6 +109,27 @@ class PartTruth(eqx.Module):
 
         Args:
             pose: true pose (x, y, yaw) [m, m, rad].
+        """
+        return None
+
+    def draw(self, own: Any, key: Key) -> Any:
+        """Return the state at the start of an episode in which something is random.
+
+        Args:
+            own: the state of `init`.
+            key: random key of the run, for all robots of a fleet the same.
+        """
+        return own
+
+    def discs(self, own: Any, time: Scalar) -> MovingDiscs | None:
+        """Return what moves in the world beside the robot; None for nothing.
+
+        Sensors see it, and the robot can touch it. Robots find it or are told of it, and pictures
+        show it.
+
+        Args:
+            own: the state; its number of discs never changes.
+            time: time since the start [s].
         """
         return None
 
@@ -237,3 +259,23 @@ def as_truths(truths: Sequence[PartTruth], parts: Sequence[Part]) -> tuple[PartT
         given.get(name) or defaults[name]() for name in names if name in {*given, *defaults}
     ]
     return (*of_parts, *(each for name, each in given.items() if name not in names))
+
+
+def init_truths(truths: Sequence[PartTruth], pose: Pose, key: Key | None) -> dict[str, Any]:
+    """Return the states of truths at the start, by name.
+
+    `pose` is the true pose (x, y, yaw) [m, m, rad]. `key` is that of the run; without one nothing
+    is random.
+    """
+    states = {each.name: each.init(pose) for each in truths}
+    found = {name: own for name, own in states.items() if own is not None}
+    if key is None:
+        return found
+    return {each.name: each.draw(found[each.name], key) for each in truths if each.name in found}
+
+
+def what_moves(
+    truths: Sequence[PartTruth], states: Mapping[str, Any], time: Scalar
+) -> MovingDiscs | None:
+    """Return what moves in a world at a time since the start [s]; None if nothing does."""
+    return MovingDiscs.join([each.discs(states.get(each.name), time) for each in truths])

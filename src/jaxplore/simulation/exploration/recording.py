@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxplore.belief.perception import Perception
@@ -17,7 +18,7 @@ from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.part import PartReport
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import has_coverage_target
-from jaxplore.simulation.exploration.part_truth import PartTruth
+from jaxplore.simulation.exploration.part_truth import PartTruth, what_moves
 from jaxplore.simulation.exploration.state import ExplorationState
 
 
@@ -43,7 +44,8 @@ def make_recording(
     the run shows of parts, by name. `finished` is the number of steps since the task was finished.
     `localisation` is where the robot took itself to be, or each one; None if they knew it.
     """
-    arrays, field, moving = one.map_arrays.crop(), after.belief.information, after.moving_obstacles
+    arrays, field = one.map_arrays.crop(), after.belief.information
+    moving = what_moves(one.truths, after.truths, jnp.zeros(()))
     world, ground, coverage = arrays.world, arrays.ground, one.target_coverage
     return ExplorationRecording(
         **run.common(one.period),

@@ -20,7 +20,6 @@ from jaxplore._types import (
     Flag,
     GridMask,
     Key,
-    Pose,
     Position,
     Rows,
     Scalar,
@@ -57,9 +56,9 @@ from jaxplore.robot.robot import Robot
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.lidar import is_any_turning
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.disturbances import Place
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
-from jaxplore.simulation.exploration.carrying import carry, check_carrying, landing
 from jaxplore.simulation.exploration.finish import (
     NEVER,
     TARGETS,
@@ -74,16 +73,21 @@ from jaxplore.simulation.exploration.instruments import Instruments
 from jaxplore.simulation.exploration.judge import Judge, thin
 from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.moving_discs import MovingDiscs
 from jaxplore.simulation.exploration.odometer import Odometer, estimator_key
-from jaxplore.simulation.exploration.part_truth import PartTruth, Site, as_truths
+from jaxplore.simulation.exploration.part_truth import (
+    PartTruth,
+    Site,
+    as_truths,
+    init_truths,
+    what_moves,
+)
 from jaxplore.simulation.exploration.progress import MapSums
 from jaxplore.simulation.exploration.rates import Rates
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
 from jaxplore.simulation.exploration.recording import make_recording, part_reports
 from jaxplore.simulation.exploration.state import ExplorationState, Sensed, initial_state
 from jaxplore.simulation.exploration.true_world import TrueWorld
-from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.robot_fields import robot_fields
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
@@ -161,13 +165,11 @@ class ExplorationScenario(Scenario):
                 absent 0.05, or 1 for a goal apart, which then needs no explored map.
         altitude: z of the start, for robots that have one [m].
         hover_time: time that is simulated after the end [s].
-        faults: injected faults; none when absent.
         targets: (M, 2) positions of the targets to find [m]; none when absent.
-        moving_obstacles: true moving obstacles; none when absent. The robot
-            finds them in the scans (`ObstacleTracker`). Their start is drawn from the run's key.
         tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
-            told of the obstacles in sight. When absent it has a tracker instead, but on a known
-            ground, whose hills return beams like what moves, it is told with (0.05, 0.1).
+            told of the moving obstacles in sight, see `jaxplore.MovingObstacles`. When absent it
+            finds them in its scans (`ObstacleTracker`), but on a known ground, whose hills return
+            beams like what moves, it is told with (0.05, 0.1).
         truths: what is true of the robot's parts (`jaxplore.parts`).
         localisation: how the robot finds its pose, from an odometry with errors and its scans; it
             knows its pose when absent. Coverage is then that of the map that its scans give at
@@ -180,7 +182,7 @@ class ExplorationScenario(Scenario):
             goal; a start that is off the map, in a wall, in unknown space, or so close to either
             that the robot touches it; a rate that is not positive, above the control rate or no
             whole fraction of it; a start or all targets in keep-out areas; a target coverage
-            outside (0, 1]; a prior or walls of another shape; a goal off the map, in a wall, or
+            outside (0, 1]; a prior of another shape; a goal off the map, in a wall, or
             where the robot cannot get from its start; a target off the map or in a wall; a truth of
             a part that the robot does not have, or that cannot be in this world.
     """
@@ -206,9 +208,7 @@ class ExplorationScenario(Scenario):
     goal_speed: Scalar
     max_unknown: Scalar
     hover_steps: Count
-    faults: Faults | None
     targets: Float[Array, "M 2"]
-    moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
     truths: tuple[PartTruth, ...]
     localisation: Localisation | None
@@ -239,9 +239,7 @@ class ExplorationScenario(Scenario):
         max_unknown: ArrayLike | None = None,
         altitude: float = 0.0,
         hover_time: float = 0.0,
-        faults: Faults | None = None,
         targets: Rows | None = None,
-        moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector | None = None,
         truths: Sequence[PartTruth] = (),
         localisation: Localisation | None = None,
@@ -256,8 +254,6 @@ class ExplorationScenario(Scenario):
         self.robot, self.sensors = robot, all_sensors
         self.localisation = localisation
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
-        is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
-        self.moving_obstacles = None if is_still else moving_obstacles
         told = TOLD_NOISE if tracking_noise is None else tracking_noise
         self.tracking_noise = _checks.vector("tracking_noise", told, 2, at_least=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
@@ -277,13 +273,9 @@ class ExplorationScenario(Scenario):
             self.max_unknown,
             is_localising=localisation is not None,
         )
-        is_told = tracking_noise is not None or ground is not None
-        if is_told or (self.moving_obstacles is not None and perception.tracker is None):
-            perception = with_field(perception, "tracker", None if is_told else ObstacleTracker())
         known = checks.check_prior(prior, world, datum)
         if localisation is not None:
             localisation.localiser.check_map(prior)
-        self.faults = checks.check_faults(faults, world)
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
@@ -292,11 +284,13 @@ class ExplorationScenario(Scenario):
         if closed is not None:
             passable = passable.with_solid(closed)
         reachable = on_device(drivable_cells(passable, pose, robot, perception, datum))
-        check_carrying(self.faults, world, reachable, datum)
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
         site = Site(world, robot, perception, pose, self.targets, np.asarray(reachable), datum)
         self.truths = tuple(each.bind(site) for each in as_truths(truths, perception.parts))
+        is_told = tracking_noise is not None or ground is not None
+        if is_told or (self._has_moving() and perception.tracker is None):
+            perception = with_field(perception, "tracker", None if is_told else ObstacleTracker())
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -341,6 +335,11 @@ class ExplorationScenario(Scenario):
     def reachable(self) -> GridMask:
         """Mask (H, W) of the cells that the robot's centre can reach."""
         return self.map_arrays.crop().reachable
+
+    @property
+    def place(self) -> Place:
+        """What disturbances are checked by."""
+        return Place(self.robot, self.datum, self.map_arrays.world, self.reachable)
 
     @property
     def ground(self) -> Ground | None:
@@ -398,7 +397,8 @@ class ExplorationScenario(Scenario):
     @property
     def metric_groups(self) -> tuple[str, ...]:
         """Names of the truths of parts, whose metrics are groups of their own."""
-        return tuple(each.name for each in self.truths)
+        shown = (each for each in self.truths if type(each).report is not PartTruth.report)
+        return tuple(each.name for each in shown)
 
     @property
     def num_reachable(self) -> Scalar:
@@ -413,9 +413,7 @@ class ExplorationScenario(Scenario):
             own = each.init_part(self.perception.part_named(each.name), begin)
             if own is not None:
                 belief = belief.with_parts({each.name: own})
-        moving = self.moving_obstacles
-        if moving is not None and key is not None:
-            moving = moving.at_random_phase(key)
+        truths = init_truths(self.truths, begin, key)
         reachable, number = self.map_arrays.reachable, self.num_targets
         place, odometer, pose = None, None, self.robot.pose(self.start)
         if self.localisation is not None:
@@ -427,24 +425,28 @@ class ExplorationScenario(Scenario):
             belief,
             reachable,
             number,
-            moving,
+            what_moves(self.truths, truths, jnp.zeros(())),
             self.sensors,
             pose=pose,
             is_guarded=self.guard is not None,
             is_on_hills=self.perception.ground is not None,
-            truths=self._init_truths(begin),
+            truths=truths,
             place=place,
             odometer=odometer,
         )._replace(
-            landing=landing(self.faults, reachable, belief.grid.frame, key),
+            landing=self.disturbances.landing(reachable, belief.grid.frame, key),
             control=self.robot.default_control if is_any_turning(self.sensors) else None,
         )
         return state, state.belief
 
-    def _init_truths(self, pose: Pose) -> dict[str, Any]:
-        """Return the states of the truths of parts at the start."""
-        states = {each.name: each.init(pose) for each in self.truths}
-        return {name: own for name, own in states.items() if own is not None}
+    def _has_moving(self) -> bool:
+        """Return whether anything moves in the world beside the robot."""
+
+        def begin() -> MovingDiscs | None:
+            begun = init_truths(self.truths, self.robot.pose(self.start), None)
+            return what_moves(self.truths, begun, jnp.zeros(()))
+
+        return eqx.filter_eval_shape(begin) is not None
 
     def measure_state(self, state: ExplorationState) -> StateVector:
         """Return the state (nx,) that the robot takes to be its own; see `Localisation`."""
@@ -635,11 +637,13 @@ class ExplorationScenario(Scenario):
         `has_room` says whether it can be put down where the fault carries it; None if it can.
         """
         state = self.follow_odometry(state, record.state, moment.step)
-        if self.faults is not None and state.landing is not None:
+        if state.landing is not None:
             # After the odometry has measured the step: it does not notice.
-            is_carried = self.faults.is_carried(moment.time, self.control_period)
+            is_carried = self.disturbances.is_carried(moment.time, self.control_period)
             is_carried = is_carried if has_room is None else is_carried & has_room
-            record = carry(record, self.robot, self.start, state.landing, is_carried)
+            there = self.robot.with_pose(self.start, state.landing)
+            after = jnp.where(is_carried, there, record.state)
+            record = record._replace(state=after, is_carried=is_carried)
         motion = Motion.between(self.robot, state.robot, record.state, self.control_period)
         state = state.after_step(record.state, control)._replace(motion=motion, truths=truths)
         return state, record
@@ -779,15 +783,15 @@ class ExplorationScenario(Scenario):
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""
-        return self.world_at(state.moving_obstacles, moment)
+        moving = eqx.Partial(what_moves, self.truths, state.truths, moment.time)
+        return self.world_at(moving, moment)
 
-    def world_at(self, moving: MovingObstacles | None, moment: Moment) -> TrueWorld:
-        """Return the true world at a moment, with given moving obstacles; see `true_world`."""
+    def world_at(self, find_moving: Callable[[], MovingDiscs | None], moment: Moment) -> TrueWorld:
+        """Return the true world at a moment, with what is found to move; see `true_world`."""
         # Walls follow the number of the step, because `advance` asks for a later time: all parts of
         # a step then see the same walls.
-        grid = self.map_arrays.world
-        if self.faults is not None:
-            grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
+        elapsed = self.control_period * moment.step.astype(jnp.float32)
+        grid = self.disturbances.world(self.map_arrays.world, elapsed)
         is_told = self.perception.tracker is None
         arrays = self.map_arrays
-        return TrueWorld(grid, arrays.ground, moving, moment.time, is_told, arrays.traversable)
+        return TrueWorld(grid, arrays.ground, find_moving, is_told, arrays.traversable)

@@ -19,7 +19,7 @@ from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import FITTING, Knowledge, Measurement, RobotState, Sight
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.judge import Judged, TrueTrack
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.moving_discs import MovingDiscs
 from jaxplore.simulation.exploration.odometer import Odometer
 
 
@@ -32,7 +32,6 @@ class ExplorationState(NamedTuple):
         judged: what the record says of its knowledge.
         gain: the last rise of the coverage.
         finished: number of steps since the task was finished; 0 before.
-        moving_obstacles: moving obstacles with their drawn starts; None without any.
         ranges: (B,) ranges of the last scan, sensor by sensor [m].
         motion: motion of the robot in the last step.
         truths: states of the truths of the robot's parts, by name.
@@ -46,7 +45,6 @@ class ExplorationState(NamedTuple):
     judged: Judged
     gain: Gain
     finished: Count
-    moving_obstacles: MovingObstacles | None
     ranges: Float[Array, " B"]
     motion: Motion
     truths: dict[str, Any]
@@ -110,7 +108,7 @@ def initial_state(
     belief: Belief,
     reachable: GridMask,
     num_targets: int,
-    moving: MovingObstacles | None,
+    moving: MovingDiscs | None,
     sensors: Sequence[Sensor],
     *,
     pose: Pose,
@@ -122,8 +120,9 @@ def initial_state(
 ) -> ExplorationState:
     """Return the state at the start.
 
-    `belief` has no moving obstacles yet. `is_guarded` says whether a guard needs the end points of
-    scans, `is_on_hills` whether these may be of the ground. `pose` [m, m, rad] is the true pose.
+    `belief` has no moving obstacles yet; a robot without a tracker is told of those that are
+    `moving`. `is_guarded` says whether a guard needs the end points of scans, `is_on_hills` whether
+    these may be of the ground. `pose` [m, m, rad] is the true pose.
     `truths` are the states of the truths of parts. `place` is what the robot knows of its pose, and
     `odometer` the odometry of the run; both are None if it knows its pose.
     """
@@ -142,7 +141,6 @@ def initial_state(
         judged=judged,
         gain=Gain(judged.progress.coverage, jnp.zeros(())),
         finished=jnp.zeros((), jnp.int32),
-        moving_obstacles=moving,
         ranges=jnp.asarray(max_ranges(sensors)),
         motion=Motion(jnp.zeros(()), jnp.zeros(())),
         truths=truths,

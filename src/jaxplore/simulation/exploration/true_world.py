@@ -1,7 +1,7 @@
 """The true world around the robot at a moment: what is measured in it, and what is touched."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -19,32 +19,34 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.mount import LidarMount, ScanMotion, project_scan
-from jaxplore.simulation.exploration.moving_obstacles import (
-    START_OF_MOVING,
-    MovingDiscs,
-    MovingObstacles,
-)
+from jaxplore.simulation.exploration.moving_discs import START_OF_MOVING, MovingDiscs
 
 
 class TrueWorld(eqx.Module):
-    """The true world at a moment, a time since the start [s].
+    """The true world at a moment.
 
-    `grid` has the walls that have appeared. `ground` is None if it is level, `moving` without
-    moving obstacles. `is_told` says whether scans tell which beams ended at moving obstacles.
+    `grid` has the walls that have appeared. `ground` is None if it is level. `find_moving` returns
+    what moves. `is_told` says whether scans tell which beams ended at moving obstacles.
     `traversable` (H, W) are the cells that the robot may enter; None if it may enter all.
     """
 
     grid: OccupancyGrid
     ground: Ground | None
-    moving: MovingObstacles | MovingDiscs | None
-    time: Scalar
+    find_moving: Callable[[], MovingDiscs | None]
     is_told: bool = eqx.field(static=True, default=True)
     traversable: GridMask | None = None
 
     @property
+    def moving(self) -> MovingDiscs | None:
+        """What moves beside the robot; None if nothing does."""
+        # Within a branch that is taken at the rate of scans it costs nothing in other steps.
+        return self.find_moving()
+
+    @property
     def discs(self) -> Float[Array, "M 3"] | None:
         """(x, y, radius) of each moving obstacle [m]; None without any."""
-        return None if self.moving is None else self.moving.discs(self.time)
+        moving = self.moving
+        return None if moving is None else moving.discs
 
     def scans(
         self, sensors: Sequence[Sensor], pose: Pose, key: Key, motion: ScanMotion | None = None
@@ -76,9 +78,10 @@ class TrueWorld(eqx.Module):
         )
         known = jnp.where(jnp.isfinite(known).all(), known, nothing)
         times, movers = mount.times(sensor.num_beams, duration), None
-        if self.moving is not None:
-            now, radius = self.moving.at(self.time), self.moving.radius
-            places = now.positions[:, None] + times[:, None] * now.velocities[:, None]
+        moving = self.moving
+        if moving is not None:
+            now, velocities, radius = moving
+            places = now[:, None] + times[:, None] * velocities[:, None]
             radii = jnp.broadcast_to(radius[:, None, None], (*places.shape[:2], 1))
             movers = jnp.concatenate([places, radii], axis=-1)
         starts = jax.vmap(compose, (None, 0))(pose, mount.poses(true, times))
@@ -100,9 +103,9 @@ class TrueWorld(eqx.Module):
         `noise` are standard deviations of positions [m] and velocities [m/s]. The result is None
         without moving obstacles.
         """
-        if self.moving is None:
+        now = self.moving
+        if now is None:
             return None
-        now = self.moving.at(self.time)
         position_std, velocity_std = noise
         keys = jax.random.split(jax.random.fold_in(key, START_OF_MOVING), 2)
         in_sight = [sensor.sees(self.grid, pose, now.positions, self.ground) for sensor in sensors]
@@ -120,11 +123,11 @@ class TrueWorld(eqx.Module):
         `reach` cells are examined in each direction, see `clearance_reach`.
         """
         room = self._room(~self.grid.is_free, robot, state, reach)
-        if self.moving is None:
+        moving = self.moving
+        if moving is None:
             return room
-        there, radii = self.moving.at(self.time).positions, self.moving.radius
         position, heading = robot.position(state), robot.heading(state)
-        gap = discs_clearance(there, radii, position, heading, robot.footprint)
+        gap = discs_clearance(moving.positions, moving.radius, position, heading, robot.footprint)
         return jnp.minimum(room, gap)
 
     def check_move(

@@ -7,6 +7,7 @@ import numpy as np
 from jaxplore import _kinds
 from jaxplore._limits import MOST_ROBOTS
 from jaxplore._types import Rows
+from jaxplore.simulation.disturbances import Disturbance
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
@@ -34,11 +35,7 @@ def check_members(
     for index, each in enumerate(members):
         _check_supported(index, each)
     first = members[0]
-    if len(members) > 1 and first.faults is not None and first.faults.carried_to is not None:
-        raise ValueError(
-            f"faults.carried_to is {np.asarray(first.faults.carried_to).tolist()} for "
-            f"{len(members)} robots; accepted: without it, each is put down at a place of its own"
-        )
+    check_disturbances(first.disturbed_by, len(members))
     for index, each in enumerate(members[1:], start=1):
         is_same = each.map_arrays.world.shape == first.map_arrays.world.shape and np.array_equal(
             each.map_arrays.world.probability, first.map_arrays.world.probability
@@ -81,6 +78,13 @@ def check_members(
                     f"{name} of robots[{index}] is {here:g}; accepted: {there:g}, that of robots[0]"
                 )
     return members
+
+
+def check_disturbances(disturbances: Sequence[Disturbance], number: int) -> None:
+    """Check that disturbances can happen to each of a number of robots."""
+    if number > 1:
+        for each in disturbances:
+            each.check_team(number)
 
 
 def _check_supported(index: int, one: ExplorationScenario) -> None:

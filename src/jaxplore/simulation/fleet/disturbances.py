@@ -1,7 +1,7 @@
 """What the robots of a fleet differ by from their models, each by a draw of its own."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -11,91 +11,76 @@ from jaxplore.control.fleet_controller import robot_keys
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.formation import Formation
 from jaxplore.simulation.disturbances import Disturbances
-from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.variation import Drawn
+
+type FleetDrawn = tuple[dict[str, Any], ...]
+"""What is random of an episode, of each robot by name."""
 
 
 class FleetDisturbances(NamedTuple):
-    """The `Disturbances` of a fleet: of each robot what it varies by, and faults of all together.
+    """The `Disturbances` of each robot of a fleet, behind the methods of one.
 
-    `robots` are those of each robot, without faults. Keys are derived by the `identity` (N,) of
-    the robots. Draws are None if no robot varies.
+    Keys are derived by the `identity` (N,) of the robots. Scans fail for all when they do for the
+    first one.
     """
 
     formation: Formation
     robots: Sequence[Disturbances]
-    faults: Faults | None
     identity: Int[Array, " N"]
 
     @property
     def longest_delay(self) -> int:
         """Longest delay of commands of any robot and episode [control periods]."""
-        return self._together.longest_delay + max(each.longest_delay for each in self.robots)
+        return max(each.longest_delay for each in self.robots)
 
     @property
-    def _together(self) -> Disturbances:
-        return Disturbances(self.faults, None)
+    def is_varying(self) -> bool:
+        """Whether any true robot differs from its model."""
+        return any(each.is_varying for each in self.robots)
 
-    def draw(self, key: Key | None, model: Dynamics) -> tuple[Drawn | None, ...] | None:
-        """Return the variation of each robot in the episode of a key; see `Disturbances.draw`."""
+    def draw(self, key: Key | None, model: Dynamics) -> FleetDrawn:
+        """Return what is random of each robot in the episode of a key."""
         keys = [None] * len(self.robots) if key is None else robot_keys(key, self.identity)
-        drawn = tuple(
-            each.draw(own, robot)
-            for each, own, robot in zip(self.robots, keys, self.formation.robots, strict=True)
-        )
-        return None if all(each is None for each in drawn) else drawn
+        given = zip(self.robots, keys, self.formation.robots, strict=True)
+        return tuple(each.draw(own, robot) for each, own, robot in given)
 
     def observe(
         self,
         model: Dynamics,
         truth: StateVector,
         last: StateVector,
-        drawn: tuple[Drawn | None, ...] | None,
+        drawn: FleetDrawn,
         time: Scalar,
         period: Scalar,
         key: Key,
     ) -> tuple[StateVector, Flag, Flag]:
         """Return the measured states (nx,); see `Disturbances.observe`."""
-        if drawn is not None:
-            states = self.formation.split_state(truth)
-            given = zip(
-                *(self.robots, self.formation.robots, states, drawn),
-                robot_keys(key, self.identity),
-                strict=True,
+        states, before = (self.formation.split_state(each) for each in (truth, last))
+        keys, robots = robot_keys(key, self.identity), self.formation.robots
+        found = [
+            each.observe(robot, state, ago, own, time, period, own_key)
+            for each, robot, state, ago, own, own_key in zip(
+                self.robots, robots, states, before, drawn, keys, strict=True
             )
-            measured = [
-                each.observe(robot, state, state, own, time, period, own_key)[0]
-                for each, robot, state, own, own_key in given
-            ]
-            truth = jnp.concatenate(measured)
-        return self._together.observe(model, truth, last, None, time, period, key)
+        ]
+        return jnp.concatenate([state for state, *_ in found]), *found[0][1:]
 
     def delay(
-        self,
-        pending: Float[Array, "D nu"],
-        control: ControlVector,
-        drawn: tuple[Drawn | None, ...] | None,
+        self, pending: Float[Array, "D nu"], control: ControlVector, drawn: FleetDrawn
     ) -> tuple[Float[Array, "D nu"], ControlVector]:
         """Return the pending commands (D, nu), oldest first, and those that take effect."""
-        if drawn is None:
-            return self._together.delay(pending, control, None)
         queue = jnp.concatenate([pending, control[None]])
-        # The faults delay all commands by as much, before those that vary.
-        fixed, effective = self._together.longest_delay, []
+        effective = []
         for each, rows, own in zip(
             self.robots, self.formation.split_control(queue), drawn, strict=True
         ):
             # Of a shorter queue than the longest, the youngest commands.
-            newest = rows[rows.shape[0] - 1 - fixed - each.longest_delay :]
-            late = newest[0] if own is None else each.delay(newest[:-1], newest[-1], own)[1]
-            effective.append(late)
+            newest = rows[len(pending) - each.longest_delay :]
+            effective.append(each.delay(newest[:-1], newest[-1], own)[1])
         return queue[1:], jnp.concatenate(effective)
 
-    def true_robot(
-        self, model: Dynamics, drawn: tuple[Drawn | None, ...] | None, key: Key, step: Count
-    ) -> Dynamics:
+    def true_robot(self, model: Dynamics, drawn: FleetDrawn, key: Key, step: Count) -> Dynamics:
         """Return the robots that move in a step of an episode; `key` is that of the run."""
-        if drawn is None:
+        if not self.is_varying:
             return model
         keys = robot_keys(key, self.identity)
         robots = [

@@ -28,13 +28,12 @@ from jaxplore.report.exploration.team import TeamRecord
 from jaxplore.report.recording import Frame
 from jaxplore.robot.clock import whole_steps
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.disturbances import Disturbances
-from jaxplore.simulation.exploration.part_truth import PartTruth
+from jaxplore.simulation.disturbances import Disturbance
+from jaxplore.simulation.exploration.part_truth import PartTruth, init_truths
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.fleet.assignment import with_assignments
-from jaxplore.simulation.fleet.checks import check_members, identities
+from jaxplore.simulation.fleet.checks import check_disturbances, check_members, identities
 from jaxplore.simulation.fleet.closing import close_loops
 from jaxplore.simulation.fleet.communication import Talk, known_states
 from jaxplore.simulation.fleet.contact import find_room, stop_touching
@@ -48,7 +47,6 @@ from jaxplore.simulation.fleet.starts import check_starts
 from jaxplore.simulation.fleet.state import FleetState
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import LoopState, Moment
-from jaxplore.simulation.variation import Variation
 
 COORDINATIONS = ("claims", "assignment", "none")
 """Ways in which the robots of a fleet divide the places among themselves."""
@@ -74,8 +72,8 @@ class Fleet(Scenario):
     free is the target coverage, and given up as that of one robot is. With targets it is finished
     when each one was seen by some robot, or recognised, and not given up. On a patrol it ends with
     the time limit. What parts of the robots know is merged with the maps (`Part.merge`). Numbers
-    that concern all, the rates, the target coverage, the faults, are those of the first robot's
-    exploration.
+    that concern all, the rates, the target coverage, the times without scans, are those of the
+    first robot's exploration.
 
     With a goal it is finished when one robot is there, and the robots together know the target
     coverage, or that robot has nothing left to explore (`Belief.is_explored`), or all targets were
@@ -109,7 +107,6 @@ class Fleet(Scenario):
     robot: Formation
     start: StateVector
     control_period: Scalar
-    faults: Faults | None
     radio: Radio
     steps_per_exchange: Count
     identity: Int[Array, " N"]
@@ -146,7 +143,7 @@ class Fleet(Scenario):
             for one, pose in zip(self.members, poses, strict=True)
         ]
         self.start = on_device(np.concatenate(states))
-        self.control_period, self.faults = first.control_period, first.faults
+        self.control_period = first.control_period
         self.placed = HostOnly(first.datum)
         self.radio = Radio() if radio is None else radio
         rate = 1.0 / first.period
@@ -187,11 +184,10 @@ class Fleet(Scenario):
         """
         check_share(share, self.explorations.kinds, "robots")
         first = self.members[0]
-        carried = None if first.faults is None else first.faults.carried_at
         given: dict[str, Any] = {
             "localisation": first.localisation,
             "goal": first.goal,
-            "faults.carried_at": carried,
+            "carried_at": first.disturbances.is_carrying or None,
         }
         given |= {each.name: each for each in first.truths if each.is_moving}
         for name, one in given.items():
@@ -272,8 +268,8 @@ class Fleet(Scenario):
         ) -> ExplorationState:
             here: ExplorationScenario = eqx.tree_at(lambda each: each.start, one, start)
             # What moves in the world is the same for all, what a robot measures is its own.
-            moving = here.init(key)[0].moving_obstacles
-            return here.init(own_key)[0]._replace(moving_obstacles=moving)
+            truths = init_truths(here.truths, here.robot.pose(start), key)
+            return here.init(own_key)[0]._replace(truths=truths)
 
         # One compiled body for equal robots: once in a run, copies of their maps do not matter.
         own = self.explorations.at(self.share.mine)
@@ -333,8 +329,8 @@ class Fleet(Scenario):
     @property
     def disturbances(self) -> FleetDisturbances:  # type: ignore[override]
         """What each true robot differs by from its model, and what fails."""
-        robots = tuple(Disturbances(None, each.variation) for each in self.members)
-        return FleetDisturbances(self._model, robots, self.faults, self.identity)
+        robots = tuple(each.disturbances for each in self.members)
+        return FleetDisturbances(self._model, robots, self.identity)
 
     @property
     def _model(self) -> Formation:
@@ -390,7 +386,7 @@ class Fleet(Scenario):
         state = state._replace(robot=joint)
         if team is not None:
             known = self.measure_state(state)
-            if self._varies:
+            if self.disturbances.is_varying:
                 # Robots that measure with noise know no more of the step than their models do.
                 known = self._model.step(known_states(moment), control, self.control_period)
             team = self._talk.update_plans(team, here, driven, known, moment.step, info)
@@ -507,17 +503,18 @@ class Fleet(Scenario):
         same: Fleet = eqx.tree_at(lambda at: at.explorations, self, batched)
         return same
 
-    def with_variation(self, variation: Variation | None) -> "Fleet":
-        """Return the scenario with robots that vary from episode to episode, each by its own draw.
+    def with_disturbances(self, disturbances: Sequence[Disturbance]) -> "Fleet":
+        """Return the scenario with disturbances of each robot, by draws of its own.
 
         Args:
-            variation: distributions of each true robot; None for none.
+            disturbances: one of a name; measurements pass through them in this order.
 
         Raises:
-            ValueError: a variation of parameters that a robot does not have.
+            ValueError: what cannot happen to a robot, or to several.
         """
-        varied = self.explorations.map(lambda each: each.with_variation(variation))
-        return with_field(self, "explorations", varied)
+        check_disturbances(disturbances, self.num_robots)
+        disturbed = self.explorations.map(lambda each: each.with_disturbances(disturbances))
+        return with_field(self, "explorations", disturbed)
 
     def with_guard(self, guard: MotionGuard | None) -> "Fleet":
         """Return the scenario with a guard for each robot.
@@ -552,11 +549,6 @@ class Fleet(Scenario):
             is_given_up=bool(self.is_given_up(run.state.task)),
         )
         return local.move(self.datum.offset)
-
-    @property
-    def _varies(self) -> bool:
-        """Whether any true robot differs from its model."""
-        return any(each.variation is not None for each in self.explorations.kinds)
 
     @property
     def _talk(self) -> Talk:

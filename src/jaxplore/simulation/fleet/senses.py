@@ -16,10 +16,10 @@ from jaxplore.belief.obstacles import Obstacles
 from jaxplore.robot.clock import when_due
 from jaxplore.robot.localisation import PoseKnowledge
 from jaxplore.robot.robot import tell
-from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs, MovingObstacles
+from jaxplore.simulation.exploration.moving_discs import MovingDiscs
+from jaxplore.simulation.exploration.part_truth import what_moves
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.fleet.rows import others
 from jaxplore.simulation.state import Moment
 
@@ -52,16 +52,15 @@ class TeamSenses(NamedTuple):
         scenarios, moment = self.explorations.all, moments[0]
         if discs is None:
             return (scenarios[0].perceive(members[0], moment, keys[0])[0],)
-        around = [
-            jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs)
-            for i in self.places
-        ]
-        scanned = []
-        for one, each, beside, own, key in zip(
-            scenarios, members, around, moments, keys, strict=True
+        scanned, around = [], []
+        for i, one, each, own, key in zip(
+            self.places, scenarios, members, moments, keys, strict=True
         ):
-            truth = _among(one.true_world(each, own), each.moving_obstacles, beside)
+            robots = jax.tree.map(lambda rows, i=i: others(rows, self.identity, i), discs)
+            moving = MovingDiscs.join([what_moves(one.truths, each.truths, own.time), robots])
+            truth = one.world_at(eqx.Partial(MovingDiscs.join, (moving,)), own)
             scanned.append(one.sense(each, truth, own, key, is_told=False))
+            around.append(moving)
         rates = scenarios[0].rates
         states = [each.state for each in scanned]
         known = jax.lax.cond(
@@ -69,7 +68,6 @@ class TeamSenses(NamedTuple):
             lambda *given: self._track_obstacles(moment, *given),
             lambda obstacles, *_: obstacles,
             [each.belief.obstacles for each in states],
-            [each.moving_obstacles for each in states],
             around,
             [each.robot for each in states],
             [each.sight.is_taken for each in scanned],
@@ -114,14 +112,13 @@ class TeamSenses(NamedTuple):
         def track(
             one: ExplorationScenario,
             obstacles: Obstacles,
-            moving: MovingObstacles | None,
-            beside: MovingDiscs,
+            moving: MovingDiscs,
             robot: Array,
             is_taken: Flag,
             place: Pose | None,
             key: Key,
         ) -> Obstacles:
-            truth = _among(one.world_at(moving, moment), moving, beside)
+            truth = one.world_at(eqx.Partial(MovingDiscs.join, (moving,)), moment)
             pose = one.robot.pose(robot)
 
             def update(before: Obstacles) -> Obstacles:
@@ -189,14 +186,3 @@ def _guidance(belief: Belief, errands: Sequence[str]) -> dict[str, Any]:
     names = ("guidance", "dwell", "is_explored", "pose", *(("goal", "is_sent") if errands else ()))
     fields = {name: getattr(belief, name) for name in names}
     return {**fields, "parts": {name: belief.parts[name] for name in errands}}
-
-
-def _among(truth: TrueWorld, moving: MovingObstacles | None, around: MovingDiscs) -> TrueWorld:
-    """Return the true world with other robots beside its moving obstacles."""
-    seen: TrueWorld = eqx.tree_at(
-        lambda at: at.moving,
-        truth,
-        around.append_to(moving, truth.time),
-        is_leaf=lambda leaf: leaf is None,
-    )
-    return seen

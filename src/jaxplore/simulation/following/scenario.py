@@ -42,7 +42,6 @@ from jaxplore.report.following.data import PathFrame, PathRecord
 from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.report.following.recording import PathRecording
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.following.agent_view import PathView
 from jaxplore.simulation.following.state import PathState
 from jaxplore.simulation.following.traffic import Traffic
@@ -82,15 +81,13 @@ class PathScenario(Scenario):
             "constant-velocity"; static.
         growth: standard deviation of the obstacles' velocity in the prediction [m/s].
         turn_growth: standard deviation of the obstacles' turn rate in the prediction [rad/s].
-        faults: injected faults. During a dropout of scans the tracker predicts obstacles from their
-            last measurement.
         datum: point of a map's coordinates to which all positions here are relative; frames and
             recordings are in the map's coordinates.
 
     Raises:
         ValueError: a robot without a path parameter, a start that is no pose, laps or rates that
             are not positive, more than one lap of an open path, a negative deviation, another
-            prediction, faults with walls.
+            prediction.
     """
 
     frame_type = PathFrame
@@ -109,7 +106,6 @@ class PathScenario(Scenario):
     tracking_noise: Float[Array, "2"]
     growth: Scalar
     turn_growth: Scalar
-    faults: Faults | None
     prediction: str = eqx.field(static=True)
 
     @_kinds.check_arguments
@@ -129,7 +125,6 @@ class PathScenario(Scenario):
         prediction: str = "constant-turn",
         growth: ArrayLike = 0.1,
         turn_growth: ArrayLike = 0.1,
-        faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
         self.placed = HostOnly(datum)
@@ -168,11 +163,6 @@ class PathScenario(Scenario):
         self.prediction = prediction
         self.growth = _checks.scalar("growth", growth, at_least=0.0)
         self.turn_growth = _checks.scalar("turn_growth", turn_growth, at_least=0.0)
-        if faults is not None and faults.walls is not None:
-            raise ValueError("faults has walls beside a path; accepted: faults without walls")
-        if faults is not None and faults.carried_at is not None:
-            raise ValueError("faults has carried_at beside a path; accepted: faults without it")
-        self.faults = faults
 
     def __repr__(self) -> str:
         return describe_fields(self, "path", "robot", "start", "end", "traffic", "period")
@@ -199,7 +189,7 @@ class PathScenario(Scenario):
 
     def _add_age(self, known: Obstacles | None) -> Obstacles | None:
         """Add an age to the obstacles if the tracker may fail: measurements can grow old then."""
-        if self.faults is None or known is None:
+        if not self.disturbances.is_blinding or known is None:
             return known
         return known.advance(jnp.zeros(()))
 
@@ -234,9 +224,9 @@ class PathScenario(Scenario):
     def perceive(
         self, state: PathState, moment: Moment, key: Key
     ) -> tuple[PathState, Belief | None]:
-        """Measure the obstacles, or predict them during a dropout."""
+        """Measure the obstacles, or predict them from their last measurement during a dropout."""
         known = self._add_age(self.obstacles(moment.time, key=key))
-        if self.faults is not None and known is not None and state.known is not None:
+        if self.disturbances.is_blinding and known is not None and state.known is not None:
             # By `_add_age` all obstacles have an age, so both have the same leaves to choose from.
             predicted = state.known.advance(self.control_period)
             known = jax.tree.map(functools.partial(jnp.where, moment.is_blind), predicted, known)

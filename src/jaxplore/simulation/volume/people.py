@@ -12,7 +12,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.robot.robot import Told
 from jaxplore.sensing.volume import Rotation, VolumeScan, VolumeSensor
-from jaxplore.simulation.exploration.moving_obstacles import START_OF_MOVING, MovingObstacles
+from jaxplore.simulation.exploration.moving_discs import START_OF_MOVING, MovingDiscs
 
 HEIGHT = 1.8
 """Height of people over the lower face of the volume [m]."""
@@ -33,10 +33,10 @@ class Cylinders(NamedTuple):
     top: Scalar
 
     @classmethod
-    def of(cls, moving: MovingObstacles, world: VoxelGrid, time: Scalar) -> "Cylinders":
-        """Return the cylinders of moving discs at a time since the start [s]."""
-        now, floor = moving.at(time), world.origin[2]
-        return cls(now.positions, now.velocities, moving.radius, floor, floor + HEIGHT)
+    def of(cls, moving: MovingDiscs, world: VoxelGrid) -> "Cylinders":
+        """Return the cylinders over moving discs."""
+        floor = world.origin[2]
+        return cls(*moving, floor, floor + HEIGHT)
 
     def block(
         self, scan: VolumeScan, sensor: VolumeSensor, position: Float[Array, "3"], turn: Rotation

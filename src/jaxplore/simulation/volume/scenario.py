@@ -51,10 +51,10 @@ from jaxplore.robot.robot import FITTING, is_mapped_after, tell, unfit_after
 from jaxplore.robot.volume_points import num_volume_points, volume_points
 from jaxplore.sensing.volume import VolumeSensor
 from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.disturbances import Place
 from jaxplore.simulation.exploration.finish import default_give_up_after
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.part_truth import PartTruth, as_truths, init_truths, what_moves
 from jaxplore.simulation.exploration.scenario import TOLD_NOISE
-from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Scenario
 from jaxplore.simulation.state import Moment
 from jaxplore.simulation.volume.observable import find_fitting_places, observable
@@ -71,9 +71,9 @@ class VolumeState(NamedTuple):
 
     `num_known` observable voxels are known to be free, and `gain` is the last rise of their share.
     `is_seen` (M,) says which targets have been seen. `motion` is that of the last step; None
-    without a goal. `moving` are the true moving obstacles of the run; None without any. `points`
-    are of the newest scan, and `unfit` is for how long scans have not fitted the map [s], negative
-    while they do; both are None without a guard.
+    without a goal. `truths` are the states of what is true beside the map, by name. `points` are of
+    the newest scan, and `unfit` is for how long scans have not fitted the map [s], negative while
+    they do; both are None without a guard.
     """
 
     robot: StateVector
@@ -81,8 +81,8 @@ class VolumeState(NamedTuple):
     num_known: Count
     gain: Gain
     is_seen: Bool[Array, " M"]
+    truths: dict[str, Any]
     motion: Motion | None = None
-    moving: MovingObstacles | None = None
     points: ScanPoints | None = None
     unfit: Scalar | None = None
 
@@ -119,13 +119,11 @@ class VolumeScenario(Scenario):
         goal_heading: heading at the goal [rad]; any when absent.
         goal_tolerance: greatest error of the heading at the goal [rad].
         goal_speed: speed up to which the robot is at rest at the goal [m/s].
-        moving_obstacles: true moving obstacles, upright cylinders from the lower face of the volume
-            to 1.8 m above it; none when absent. The robot is told of those in sight, and the map
-            keeps nothing of them. Their start is drawn from the run's key.
+        truths: what is true beside the map: `jaxplore.MovingObstacles`, here upright cylinders from
+            the lower face of the volume to 1.8 m above it. The robot is told of those in sight, and
+            the map keeps nothing of them.
         tracking_noise: standard deviations of positions [m] and velocities [m/s] that the robot is
             told.
-        faults: injected faults; none when absent. Walls that appear are voxels (D, H, W). A robot
-            is not carried away.
         datum: point of a file's coordinates to which all positions here are relative; frames and
             recordings are in those of the file.
 
@@ -155,9 +153,8 @@ class VolumeScenario(Scenario):
     num_observable: Scalar
     targets: Float[Array, "M 3"]
     goal_check: GoalCheck | None
-    moving_obstacles: MovingObstacles | None
+    truths: tuple[PartTruth, ...]
     tracking_noise: Float[Array, "2"]
-    faults: Faults | None
     reach: int = eqx.field(static=True)
 
     @_kinds.check_arguments
@@ -180,19 +177,11 @@ class VolumeScenario(Scenario):
         goal_heading: ArrayLike | None = None,
         goal_tolerance: ArrayLike = GOAL_TOLERANCE,
         goal_speed: ArrayLike = GOAL_SPEED,
-        moving_obstacles: MovingObstacles | None = None,
+        truths: Sequence[PartTruth] = (),
         tracking_noise: Vector = TOLD_NOISE,
-        faults: Faults | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
-        if faults is not None and faults.carried_at is not None:
-            raise ValueError("faults has carried_at in a volume; accepted: faults without it")
-        if faults is not None and faults.walls is not None and faults.walls.shape != world.shape:
-            raise ValueError(
-                f"walls has shape {faults.walls.shape}; accepted: the world's, {world.shape}"
-            )
-        is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
-        self.moving_obstacles = None if is_still else moving_obstacles
+        self.truths = as_truths(truths, ())
         self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
         self.placed = HostOnly(datum)
         several = isinstance(sensors, Sequence)
@@ -201,7 +190,7 @@ class VolumeScenario(Scenario):
             _kinds.instance("sensors", each, VolumeSensor)
         if several and not given:
             raise ValueError("sensors is empty; accepted: one sensor or more")
-        self.world, self.robot, self.sensors, self.faults = world, robot, given, faults
+        self.world, self.robot, self.sensors = world, robot, given
         place = np.asarray(_checks.vector("start", start, 4), np.float64)
         radius = float(robot.radius)
         solid = ~np.asarray(world.is_free)
@@ -261,13 +250,14 @@ class VolumeScenario(Scenario):
         known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         gain = Gain(known.astype(jnp.float32) / self.num_observable, jnp.zeros(()))
         is_seen = jnp.zeros(self.targets.shape[0], bool)
-        nothing, moving = jnp.zeros(()), self.moving_obstacles
+        nothing = jnp.zeros(())
+        truths = init_truths(self.truths, self.robot.pose(self.start), key)
+        moving = what_moves(self.truths, truths, nothing)
         motion = None if self.goal_check is None else Motion(nothing, nothing)
         if moving is not None:
             obstacles = Obstacles.unseen(moving.radius)
             belief = dataclasses.replace(belief, obstacles=obstacles)
-            moving = moving if key is None else moving.at_random_phase(key)
-        state = VolumeState(self.start, belief, known, gain, is_seen, motion, moving)
+        state = VolumeState(self.start, belief, known, gain, is_seen, truths, motion)
         if self.guard is not None:
             points = ScanPoints.blank(num_volume_points(self.sensors), 0.0, dimensions=3)
             state = state._replace(points=points, unfit=jnp.asarray(FITTING))
@@ -457,9 +447,13 @@ class VolumeScenario(Scenario):
 
     def world_at(self, step: Count) -> VoxelGrid:
         """Return the true world in a step, with the walls that have appeared."""
-        if self.faults is None:
-            return self.world
-        return self.faults.world(self.world, self.control_period * step.astype(jnp.float32))
+        elapsed = self.control_period * step.astype(jnp.float32)
+        return self.disturbances.world(self.world, elapsed)
+
+    @property
+    def place(self) -> Place:
+        """What disturbances are checked by."""
+        return Place(self.robot, self.datum, self.world)
 
     def clearance(self, state: StateVector, world: VoxelGrid | None = None) -> Scalar:
         """Return the distance from the robot's edge to the nearest solid voxel [m], up to a reach.
@@ -486,7 +480,8 @@ class VolumeScenario(Scenario):
 
     def _people(self, state: VolumeState, time: Scalar) -> Cylinders | None:
         """Return the moving obstacles at a time since the start [s]; None without any."""
-        return None if state.moving is None else Cylinders.of(state.moving, self.world, time)
+        moving = what_moves(self.truths, state.truths, time)
+        return None if moving is None else Cylinders.of(moving, self.world)
 
     def _room(self, state: StateVector, world: VoxelGrid, people: Cylinders | None) -> Scalar:
         """Return the distance from the robot's edge to the nearest solid voxel or person [m]."""
@@ -503,7 +498,7 @@ class VolumeScenario(Scenario):
         voxel = jnp.floor(grid.to_grid(position_upwards(state.robot))).astype(jnp.int32)
         depth, height, _ = grid.shape
         layer, row = jnp.clip(voxel[0], 0, depth - 1), jnp.clip(voxel[1], 0, height - 1)
-        plan = jnp.zeros((0, 3))
+        plan, moving = jnp.zeros((0, 3)), what_moves(self.truths, state.truths, moment.time)
         if inspect is not None:
             states = inspect(moment.observed, state.belief).nominal.states
             plan = jax.vmap(position_upwards)(states)
@@ -514,9 +509,7 @@ class VolumeScenario(Scenario):
             "voxels": jnp.packbits(grid.is_occupied.reshape(-1)),
             "plan": plan,
             "is_found": state.is_seen,
-            "movers": jnp.zeros((0, 3))
-            if state.moving is None
-            else state.moving.discs(moment.time),
+            "movers": jnp.zeros((0, 3)) if moving is None else moving.discs,
         }
 
     def recording(

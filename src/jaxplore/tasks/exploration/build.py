@@ -5,38 +5,32 @@ from typing import Any
 import jax
 
 from jaxplore.belief.car import car_motion
-from jaxplore.belief.part import Part
 from jaxplore.belief.perception import Perception
-from jaxplore.belief.tracks import ObstacleTracker
 from jaxplore.control.base import Controller
 from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
-from jaxplore.parts.registry import Equipment, build_parts
+from jaxplore.parts.registry import Equipment, build_parts, control_arguments
 from jaxplore.sensing.base import Sensor
 from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.experiment import Experiment
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.scenario import Scenario
-from jaxplore.tasks.exploration.controllers import build_controller, build_occlusion_cost
+from jaxplore.tasks.exploration.controllers import build_controller
 from jaxplore.tasks.exploration.fleet import build_fleet
 from jaxplore.tasks.exploration.localisation import build_localisation
 from jaxplore.tasks.exploration.settings import Settings, make_exploration_settings
 from jaxplore.tasks.exploration.world import (
     RunWorld,
     build_world,
-    expects_people,
     is_ros_map,
     surroundings,
 )
 from jaxplore.tasks.robot import (
-    build_faults,
     build_robot,
     build_sensor_model,
     build_sensors,
-    build_variation,
     with_adaptive_horizon,
     with_latency,
 )
@@ -76,10 +70,12 @@ def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment
 def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> ExplorationScenario:
     """Build the scenario that settings describe in a world that is given; see `build_in`."""
     sensors = build_sensors(settings)
-    equipment = build_parts(settings, surroundings(settings, world, robot))
+    around = surroundings(settings, world, robot)
+    equipment = build_parts(settings, around)
     if not world.is_placed:
-        equipment = Equipment(tuple(part.unplaced() for part in equipment.parts), ())
-    perception = _perception(settings, robot, world, sensors, equipment.parts)
+        parts = tuple(part.unplaced() for part in equipment.parts)
+        equipment = Equipment(parts, (), equipment.perception, ())
+    perception = _perception(settings, robot, world, sensors, equipment)
     ground = world.ground
     scenario = ExplorationScenario(
         world.grid if ground is None else TerrainMap(world.grid, ground),
@@ -91,8 +87,6 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         goal=None if world.goal is None else world.goal[:2],
         altitude=settings.altitude,
         targets=world.targets or None,
-        moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
-        faults=build_faults(settings.faults, world.datum),
         localisation=build_localisation(
             settings, sensors[0], world.grid.resolution, is_map_known=world.prior is not None
         ),
@@ -103,11 +97,12 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
             "max_unknown": _choose_max_unknown(settings),
         },
         **arguments(settings.rates, ExplorationScenario),
-    ).with_variation(build_variation(settings.variation))
+    ).with_disturbances(equipment.disturbances)
     # A quadrotor's camera does not show where people come from: with the limit of speeds it lost
     # half of its way, and touched as many of them per metre.
     is_flying = "z" in robot.state_names
-    occlusion = None if is_flying else build_occlusion_cost(settings, world)
+    told = {} if is_flying else control_arguments(settings, around)
+    occlusion = told.get("occlusion_cost")
     return scenario.with_guard(MotionGuard(occlusion=occlusion) if settings.guard else None)
 
 
@@ -124,11 +119,10 @@ def _perception(
     robot: Dynamics,
     world: RunWorld,
     sensors: tuple[Sensor, ...],
-    parts: tuple[Part, ...],
+    equipment: Equipment,
 ) -> Perception:
     goal = None if world.goal is None else world.goal[:2]
     # When absent, the default of `Perception` applies, not that of the scenario.
-    tracker = ObstacleTracker(**arguments(settings.people, ObstacleTracker))
     share = _choose_max_unknown(settings)
     unknown: dict[str, Any] = {} if share is None else {"max_unknown": share}
     return Perception(
@@ -139,14 +133,14 @@ def _perception(
         goal=goal,
         goal_heading=None if goal is None else settings.goal_heading,
         ground=world.ground,
-        parts=parts,
+        parts=equipment.parts,
         # Only the portfolio has an objective that reads the cost to go to the goal on its own.
         is_goal_apart=settings.architecture == "portfolio"
         and goal is not None
         and not settings.returns,
         car=car_motion(robot),
         is_localising=settings.localisation is not None,
-        tracker=tracker if expects_people(settings, world) else None,
+        **equipment.perception,
         **arguments(settings.fields, Perception),
         **unknown,
     )

@@ -1,13 +1,13 @@
 """Controllers of exploration runs, from settings."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from jaxplore._checks import warn_user
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
 from jaxplore.control.base import Controller
-from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.integrators import Euler
 from jaxplore.parts.registry import control_arguments
@@ -36,7 +36,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.tasks.exploration.fleet import cost_of_others, has_others
 from jaxplore.tasks.exploration.localisation import uncertain_robot
 from jaxplore.tasks.exploration.settings import Settings
-from jaxplore.tasks.exploration.world import RunWorld, expects_people, surroundings
+from jaxplore.tasks.exploration.world import RunWorld, surroundings
 from jaxplore.tasks.robot import build_robot
 from jaxplore.tasks.user_code import import_controller, import_rule
 
@@ -54,8 +54,7 @@ def build_controller(
     _check_errands(settings, scenario)
     told = control_arguments(settings, surroundings(settings, world, robot))
     options: dict[str, Any] = {
-        "has_moving_obstacles": _has_moving(settings, world),
-        "occlusion_cost": build_occlusion_cost(settings, world),
+        "has_moving_obstacles": has_others(settings),
         "moving_obstacle_cost": cost_of_others(settings),
         **told,
     }
@@ -86,7 +85,7 @@ def build_controller(
         )
     if is_own(settings.architecture):
         return import_controller(settings.architecture, scenario)
-    return _quadrotor_controller(settings, robot, world, perception)
+    return _quadrotor_controller(settings, robot, world, perception, told)
 
 
 def _check_errands(settings: Settings, scenario: ExplorationScenario) -> None:
@@ -110,24 +109,15 @@ def _check_errands(settings: Settings, scenario: ExplorationScenario) -> None:
         )
 
 
-def _has_moving(settings: Settings, world: RunWorld) -> bool:
-    return bool(world.movers) or has_others(settings) or expects_people(settings, world)
-
-
-def build_occlusion_cost(settings: Settings, world: RunWorld) -> OcclusionCost | None:
-    """Return the cost of places that can hide somebody, where people are expected."""
-    if not expects_people(settings, world):
-        return None
-    robot = settings.robot
-    brakes = robot.max_acceleration if robot.max_deceleration is None else robot.max_deceleration
-    return OcclusionCost(settings.people.max_speed, brakes)
-
-
 def _quadrotor_controller(
-    settings: Settings, robot: Dynamics, world: RunWorld, perception: Perception
+    settings: Settings,
+    robot: Dynamics,
+    world: RunWorld,
+    perception: Perception,
+    told: Mapping[str, Any],
 ) -> Controller:
     """Build informative MPPI or one of its baselines."""
-    if expects_people(settings, world):
+    if "occlusion_cost" in told:
         warn_user(
             f"architecture {settings.architecture} knows nothing of people, and brakes only for "
             "those that its sensor shows; explorer and portfolio keep away from them"
@@ -195,9 +185,7 @@ def _portfolio(settings: Settings, world: RunWorld, told: dict[str, Any]) -> Por
         Mission(
             goal,
             has_terrain=world.ground is not None,
-            has_moving_obstacles=_has_moving(settings, world),
-            occlusion_cost=build_occlusion_cost(settings, world),
-            **told,
+            **{"has_moving_obstacles": has_others(settings), **told},
         ),
         members=given.members if given.weights is None else given.weights,
         fusion=_fusion(settings, goal),

@@ -1,5 +1,8 @@
 """The pilot of a real robot, from settings."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import jax
 import numpy as np
 
@@ -16,7 +19,7 @@ from jaxplore.onboard.goals import GoalChooser
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.parameters import set_parameters
-from jaxplore.parts.registry import CAPABILITIES
+from jaxplore.parts.registry import CAPABILITIES, control_arguments
 from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.robot.localisation import Localisation
@@ -25,16 +28,15 @@ from jaxplore.settings.defaults import arguments
 from jaxplore.settings.node import NodeSettings, part_node
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.tasks.exploration.build import build_in, build_scenario
-from jaxplore.tasks.exploration.controllers import build_occlusion_cost
 from jaxplore.tasks.exploration.localisation import build_localisation
 from jaxplore.tasks.exploration.settings import OFFICE, Settings, make_exploration_settings
-from jaxplore.tasks.exploration.world import RunWorld
+from jaxplore.tasks.exploration.world import RunWorld, surroundings
 from jaxplore.tasks.robot import build_robot, build_sensor_model, build_sensors
 from jaxplore.tasks.user_code import import_rule
 
 NO_PART = (
     *("map", "is_map_known", "world", "start", "goal", "office", "terrain", "camera"),
-    *("altitude", "faults", "variation", "latency", "guard"),
+    *("altitude", "latency", "guard"),
     *(each.name for each in CAPABILITIES if not each.is_on_board),
 )
 """Settings of a simulated world, and of parts that a pilot does not have or has of its own."""
@@ -58,9 +60,11 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
         )
     elif given.get("localisation") is None:
         given["localisation"] = {}
-    people = given.get("people", {})
-    if isinstance(people, dict) and people.get("are_expected") is None:
-        given["people"] = {**people, "are_expected": True}
+    for each in CAPABILITIES:
+        own = given.get(each.name, {})
+        if each.on_board and isinstance(own, dict):
+            own = {name: value for name, value in own.items() if value is not None}
+            given[each.name] = {**each.on_board, **own}
     # The office stands in for the map: a robot finds its own.
     # The guard is that of a simulated robot: a pilot has its own checks.
     settings = make_exploration_settings({**given, "map": OFFICE, "guard": False})
@@ -81,7 +85,8 @@ def _check_parts(settings: Settings, node: NodeSettings) -> None:
     its own.
     """
     for each in CAPABILITIES:
-        if getattr(settings, each.name, None) is None or node.mode == "control":
+        is_given = each.is_optional and getattr(settings, each.name, None) is not None
+        if not is_given or node.mode == "control":
             continue
         if node.mode == "goal" or each.sends_robot:
             raise ValueError(
@@ -151,6 +156,7 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
     )
     world = RunWorld(grid, (0.0, 0.0, 0.0), is_placed=False)
     key = jax.random.key(settings.seed)
+    told = control_arguments(settings, surroundings(settings, world, robot))
     options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
     if node.mode == "follow":
         if settings.adaptive_horizon.rule is not None:
@@ -158,7 +164,7 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
                 f"setting adaptive_horizon.rule is {settings.adaptive_horizon.rule!r} with "
                 "node.mode follow; accepted: none"
             )
-        following = _build_following(settings, node, robot)
+        following = _build_following(settings, node, robot, told)
         scenario = build_scenario(settings, following.model, world)
         controller = set_parameters(following.controller, settings.parameters)
         pilot = Pilot(
@@ -173,7 +179,7 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
         pilot = Pilot(
             *(made.scenario, made.controller, key, options),
             localisation=localisation,
-            occlusion=build_occlusion_cost(settings, world),
+            occlusion=told.get("occlusion_cost"),
         )
     pilot.is_started = node.is_autostarted
     return pilot
@@ -200,11 +206,13 @@ def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation 
     return found, settings.model_copy(update={"localisation": None})
 
 
-def _build_following(settings: Settings, node: NodeSettings, robot: Dynamics) -> PathFollowing:
+def _build_following(
+    settings: Settings, node: NodeSettings, robot: Dynamics, told: Mapping[str, Any]
+) -> PathFollowing:
     """Build the contouring control of a robot that keeps clear of what its own map shows."""
     given = settings.controller
     near: Cost = ObstacleCost(given.clearance)
-    if settings.people.are_expected:
+    if told.get("has_moving_obstacles"):
         near = near + MovingObstacleCost()
     avoidance = _checks.scalar("obstacle_weight", given.obstacle_weight) * near
     numbers = arguments(node.contouring, mpcc)

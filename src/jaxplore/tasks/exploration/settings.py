@@ -24,7 +24,6 @@ from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.fleet import FleetSettings
 from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.parameter_names import under_their_settings
-from jaxplore.settings.people import PeopleSettings
 from jaxplore.settings.readers import Readers
 from jaxplore.settings.robot import (
     CARS,
@@ -189,7 +188,6 @@ class Settings(RunSettings):
         guard: whether the robot brakes while its pose, its scan or its motion cannot be true, and
             before what its scan has met: see `jaxplore.MotionGuard`.
         fleet: several robots that share what they know; one robot when absent.
-        people: people who walk on the map, and how the robot minds them.
     """
 
     map: str
@@ -227,7 +225,6 @@ class Settings(RunSettings):
     rates: RatesSettings = RatesSettings()
     guard: bool = True
     fleet: FleetSettings | None = None
-    people: PeopleSettings = PeopleSettings()
 
 
 ExplorationSettings = with_capabilities(Settings)

@@ -6,12 +6,11 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.generators.office import office, start_pose
-from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.relative import relative_world
 from jaxplore.maps.terrain import TerrainMap
-from jaxplore.maps.world import MovingObstacle, World, is_world_file, three_zones
+from jaxplore.maps.world import World, is_world_file, three_zones
 from jaxplore.parts.capability import Surroundings
 from jaxplore.parts.registry import build_parts
 from jaxplore.settings.defaults import arguments
@@ -41,7 +40,6 @@ class RunWorld(NamedTuple):
     zones: tuple[tuple[float, ...], ...] = ()
     ground: Ground | None = None
     targets: tuple[tuple[float, ...], ...] = ()
-    movers: tuple[MovingObstacle, ...] = ()
     source: World | None = None
     datum: Datum = ORIGIN
     is_placed: bool = True
@@ -54,7 +52,7 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
         ValueError: a map, world or height map that cannot be read; a start that is not given, on a
             map without a place for the robot; a goal beside `returns`.
     """
-    world, given = _still_world(settings, radius), settings.people
+    world = _find_world(settings, radius)
     if settings.returns:
         if world.goal is not None or settings.fleet is not None:
             other = "a fleet" if world.goal is None else f"the goal {list(world.goal)}"
@@ -63,20 +61,11 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
                 "back to its start"
             )
         world = world._replace(goal=tuple(world.start[:2]))
-    if not given.number:
-        return world
-    people = walking_people(
-        world.grid,
-        given.number,
-        speed=given.speed,
-        radius=given.radius,
-        seed=settings.seed if given.seed is None else given.seed,
-    )
-    return world._replace(movers=(*world.movers, *people))
+    return world
 
 
-def _still_world(settings: Settings, radius: float) -> RunWorld:
-    """Build the world of a run without the people who walk in it."""
+def _find_world(settings: Settings, radius: float) -> RunWorld:
+    """Build the world of a run with the goal of its settings."""
     if is_ros_map(settings):
         return _on_map(settings, radius)
     # Beside a `world`, the map is only a name.
@@ -91,19 +80,18 @@ def _still_world(settings: Settings, radius: float) -> RunWorld:
     return _in_world(World.from_yaml(settings.map), settings)
 
 
-def expects_people(settings: Settings, world: RunWorld) -> bool:
-    """Check whether the robot looks out for people: see `PeopleSettings`.
-
-    A robot among others of a fleet, or on a known ground, is told of what moves.
-    """
-    given = settings.people.are_expected
-    expected = bool(world.movers) if given is None else given
-    return expected and not has_others(settings) and world.ground is None
-
-
 def surroundings(settings: Settings, world: RunWorld, robot: Dynamics) -> Surroundings:
     """Return what the parts of a robot are built from."""
-    return Surroundings(world.datum, world.source, settings.robot, float(robot.radius))
+    return Surroundings(
+        world.datum,
+        world.source,
+        settings.robot,
+        float(robot.radius),
+        world.grid if world.is_placed else None,
+        world.ground,
+        settings.seed,
+        has_others(settings),
+    )
 
 
 def is_ros_map(settings: Settings) -> bool:
@@ -131,7 +119,6 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
         world.zones,
         world.ground(**options),
         world.targets,
-        world.movers,
         world,
         datum,
     )

@@ -12,6 +12,8 @@ from jaxplore.geometry.track import race_track
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.path_file import path_datum, read_path
 from jaxplore.parameters import set_parameters
+from jaxplore.parts.capability import Surroundings
+from jaxplore.parts.registry import build_parts
 from jaxplore.planning.presets.path_following import PathFollowing, avoidance_cost, mpcc
 from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.experiment import Experiment
@@ -19,9 +21,7 @@ from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.simulation.following.traffic import Traffic
 from jaxplore.tasks.path.settings import TRACK, PathSettings
 from jaxplore.tasks.robot import (
-    build_faults,
     build_robot,
-    build_variation,
     with_adaptive_horizon,
     with_latency,
 )
@@ -40,11 +40,10 @@ def build_path_following(settings: PathSettings) -> Experiment:
         start=None if settings.start is None else datum.to_local(settings.start),
         traffic=traffic,
         standing=standing,
-        faults=build_faults(settings.faults),
         datum=datum,
         **arguments(settings, PathScenario),
         **arguments(settings.obstacles, PathScenario),
-    ).with_variation(build_variation(settings.variation))
+    ).with_disturbances(build_parts(settings, Surroundings(datum)).disturbances)
     controller = with_adaptive_horizon(
         set_parameters(following.controller, settings.parameters), settings.adaptive_horizon
     )

@@ -6,7 +6,7 @@ from jaxplore.tasks.path.build import build_path_following
 from jaxplore.tasks.path.memory import estimate_path_following
 from jaxplore.tasks.path.on_maps import ALONG_PATHS
 from jaxplore.tasks.path.scene import PathScene
-from jaxplore.tasks.path.settings import PATH, TRACK, PathSettings, make_path_settings
+from jaxplore.tasks.path.settings import PATH, TRACK, PathFollowingSettings, make_path_settings
 from jaxplore.tasks.path.topics import PathContent
 
 # The generated track is only a default: a settings file may name a path.
@@ -15,7 +15,7 @@ PATH_FOLLOWING = Kind(
     title="Path following",
     place="along a path",
     selector=PATH,
-    settings=PathSettings,
+    settings=PathFollowingSettings,
     check=make_path_settings,
     build=build_path_following,
     needs=estimate_path_following,

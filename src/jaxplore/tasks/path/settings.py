@@ -8,6 +8,7 @@ from jaxplore._limits import MOST_OBSTACLES
 from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.geometry.track import race_track
 from jaxplore.maps.files.path_file import read_path
+from jaxplore.parts.registry import with_capabilities
 from jaxplore.planning.presets.path_following import avoidance_cost, mpcc
 from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.controllers import ContouringNumbers
@@ -181,10 +182,14 @@ class PathSettings(RunSettings):
     controller: ContouringSettings = ContouringSettings()
 
 
+PathFollowingSettings = with_capabilities(PathSettings, dimensions=1)
+"""The settings with a section for each capability of a robot along a path."""
+
+
 def make_path_settings(entries: dict[str, Any]) -> PathSettings:
     """Check settings entries of a path-following run, and fill in defaults.
 
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
     """
-    return check_section(PathSettings, under_their_settings(entries, ContouringSettings))
+    return check_section(PathFollowingSettings, under_their_settings(entries, ContouringSettings))

@@ -17,12 +17,11 @@ from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, read_volume
-from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.generators.volumes import START, generate_volume
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
 from jaxplore.parts.capability import Surroundings
-from jaxplore.parts.registry import build_parts
+from jaxplore.parts.registry import build_parts, control_arguments
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
     volume_explorer,
@@ -34,14 +33,10 @@ from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments, parameter_default
 from jaxplore.simulation.experiment import Experiment
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.volume.observable import room_around
-from jaxplore.simulation.volume.people import floor_plan
 from jaxplore.simulation.volume.scenario import VolumeScenario
 from jaxplore.tasks.robot import (
-    build_faults,
     build_sensor_model,
-    build_variation,
     with_adaptive_horizon,
     with_latency,
 )
@@ -62,13 +57,15 @@ def build_volume(settings: VolumeSettings) -> Experiment:
     robot = Quadrotor(**arguments(settings.robot, Quadrotor))
     sensors = build_sensors(settings)
     goal = None if settings.goal is None else datum.to_local(settings.goal)
+    around = Surroundings(datum, radius=float(robot.radius), grid=world, seed=settings.seed)
+    equipment = build_parts(settings, around)
     perception = VolumePerception(
         sensors,
         world.resolution,
         robot.radius,
         goal=goal,
         goal_heading=None if goal is None else settings.goal_heading,
-        parts=build_parts(settings, Surroundings(datum, radius=float(robot.radius))).parts,
+        parts=equipment.parts,
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
     )
@@ -79,15 +76,14 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         _start(settings, world, robot, datum),
         perception=perception,
         goal=goal,
-        moving_obstacles=_people(settings, world),
+        truths=equipment.truths,
         targets=[datum.to_local(each) for each in settings.search] or None,
-        faults=build_faults(settings.faults, datum),
         datum=datum,
         **arguments(settings, VolumeScenario),
         **arguments(settings.rates, VolumeScenario),
-    ).with_variation(build_variation(settings.variation))
+    ).with_disturbances(equipment.disturbances)
     scenario = scenario.with_guard(_guard() if settings.guard else None)
-    controller = set_parameters(_controller(settings, scenario), settings.parameters)
+    controller = set_parameters(_controller(settings, scenario, around), settings.parameters)
     controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
     if goal is not None:
         controller = GoalApproach(controller, robot)
@@ -102,18 +98,6 @@ def build_volume(settings: VolumeSettings) -> Experiment:
 def _guard() -> MotionGuard:
     """Build the guard of a quadrotor, which can make way to all sides."""
     return MotionGuard(check=StopCheck(WALL_MARGIN, evades=True))
-
-
-def _people(settings: VolumeSettings, world: VoxelGrid) -> MovingObstacles | None:
-    """Build the people who walk in the volume; None without any."""
-    given = settings.people
-    if not given.number:
-        return None
-    seed = settings.seed if given.seed is None else given.seed
-    people = walking_people(
-        floor_plan(world), given.number, speed=given.speed, radius=given.radius, seed=seed
-    )
-    return MovingObstacles(people)
 
 
 def build_world(settings: VolumeSettings) -> tuple[VoxelGrid, Datum]:
@@ -228,12 +212,14 @@ def _in_radians(given: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
     return {**given, **{name: math.radians(given[name]) for name in names}}
 
 
-def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controller:
+def _controller(
+    settings: VolumeSettings, scenario: VolumeScenario, around: Surroundings
+) -> Controller:
     flying = {
         **arguments(settings.controller, volume_explorer),
         **arguments(settings.robot, volume_explorer),
         "control_period": 1.0 / settings.rates.control,
-        "has_moving_obstacles": scenario.moving_obstacles is not None,
+        **control_arguments(settings, around),
         "has_goal": scenario.goal_check is not None,
     }
     name = settings.architecture

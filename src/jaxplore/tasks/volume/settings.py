@@ -5,11 +5,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES, MOST_PEOPLE
+from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.files.volume_file import SUFFIXES, read_volume
-from jaxplore.maps.generators.people import walking_people
 from jaxplore.maps.generators.volumes import generate_volume
 from jaxplore.parts.registry import with_capabilities
 from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
@@ -22,7 +21,6 @@ from jaxplore.sensing.volume import DepthCamera, RingLidar
 from jaxplore.settings.architectures import BASELINES, BY_RULE
 from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.defaults import in_degrees, setting
-from jaxplore.settings.people import WALKING
 from jaxplore.settings.readers import Readers, architectures
 from jaxplore.settings.robot import SensorModelSettings, ViewDegrees
 from jaxplore.settings.sections import (
@@ -170,20 +168,6 @@ class VolumeFieldSettings(Section):
     unknown_factor: NonNegative = setting(VolumePerception, "unknown_factor")
 
 
-class VolumePeopleSettings(Section):
-    """People who walk on the floor of the volume: see `jaxplore.maps.walking_people`.
-
-    Args:
-        number: number of people.
-        seed: seed of their ways; the run's when absent.
-    """
-
-    number: Annotated[int, Field(ge=0, le=MOST_PEOPLE)] = 0
-    speed: Annotated[NonNegative, WALKING] = setting(walking_people, "speed")
-    radius: Annotated[Body, WALKING] = setting(walking_people, "radius")
-    seed: Annotated[Seed | None, WALKING] = None
-
-
 class VolumeControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.volume_explorer`, and
     `jaxplore.planning.volume_informative_mppi` for two-layer and parallel."""
@@ -250,7 +234,6 @@ class VolumeSettings(RunSettings):
         search: targets to find, a list of places (x, y, z) with z up [m]; the run then ends when
             all have been seen.
         goal: goal (x, y, z) with z up [m]; the run then ends when the robot has come to rest there.
-        people: people who walk in the volume.
         guard: whether the robot brakes while its pose, its scan or its motion cannot be true, and
             where a command would bring it too close to what its sensors meet or do not know.
         time_limit: simulated time [s].
@@ -276,7 +259,6 @@ class VolumeSettings(RunSettings):
     goal_heading: Real | None = setting(VolumeScenario, "goal_heading")
     goal_tolerance: Positive = setting(VolumeScenario, "goal_tolerance")
     goal_speed: Positive = setting(VolumeScenario, "goal_speed")
-    people: VolumePeopleSettings = VolumePeopleSettings()
     tracking_noise: tuple[NonNegative, NonNegative] = setting(VolumeScenario, "tracking_noise")
     guard: bool = False
     time_limit: Duration = 300.0

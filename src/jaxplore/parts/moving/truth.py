@@ -1,7 +1,7 @@
-"""True moving obstacles of an exploration scenario."""
+"""True obstacles that move on paths."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -11,24 +11,14 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Key, Position, Scalar
+from jaxplore._types import ArrayLike, Key, Pose, Position, Scalar
 from jaxplore.maps.world import MovingObstacle
-
-START_OF_MOVING = 2**31 - 1
-"""Number folded into a random key for all that moving obstacles draw: into the key of a run for
-their start, into that of a step for their measurement. It is never the number of a step or of a
-sensor, so the draws are independent of theirs."""
+from jaxplore.simulation.exploration.moving_discs import START_OF_MOVING, MovingDiscs
+from jaxplore.simulation.exploration.part_truth import PartTruth
 
 
-class MovingObstacleState(NamedTuple):
-    """Positions (M, 2) [m] and velocities (M, 2) [m/s] of the discs."""
-
-    positions: Float[Array, "M 2"]
-    velocities: Float[Array, "M 2"]
-
-
-class MovingObstacles(eqx.Module):
-    """Discs on closed paths at constant speed.
+class MovingObstacles(PartTruth):
+    """Discs on closed paths at constant speed; in a volume cylinders, see `VolumeScenario`.
 
     A disc moves along the closed polyline through its corners. With L the length of a lap, at time
     t it has travelled
@@ -36,7 +26,7 @@ class MovingObstacles(eqx.Module):
         s(t) = (phase * L + speed * t) mod L
 
     along the path. Its velocity has the direction of its segment; at a corner, of the segment that
-    begins there. On a path of length 0 it stands still.
+    begins there. On a path of length 0 it stands still. The phases of a run are drawn from its key.
 
     All fields are array leaves: other paths with the same number of corners do not recompile.
 
@@ -47,6 +37,9 @@ class MovingObstacles(eqx.Module):
     Raises:
         ValueError: a phase that is not M numbers in [0, 1).
     """
+
+    name: ClassVar[str] = "moving_obstacles"
+    needs_part: ClassVar[bool] = False
 
     corners: Float[Array, "M P 2"]
     """Corners of the paths [m]; the last one is repeated where a path has fewer than the
@@ -73,11 +66,6 @@ class MovingObstacles(eqx.Module):
         self.radius = jnp.asarray([mover.radius for mover in movers], jnp.float32)
         self.phase = _phases(np.zeros(len(movers)) if phase is None else phase, len(movers))
 
-    @classmethod
-    def none(cls) -> "MovingObstacles":
-        """Return an empty set of obstacles."""
-        return cls(())
-
     def with_phase(self, phase: ArrayLike | Sequence[float]) -> "MovingObstacles":
         """Return the same obstacles with another phase (M,) in [0, 1).
 
@@ -88,54 +76,23 @@ class MovingObstacles(eqx.Module):
         same: MovingObstacles = eqx.tree_at(lambda movers: movers.phase, self, checked)
         return same
 
-    def at_random_phase(self, key: Key) -> "MovingObstacles":
-        """Return the same obstacles with phases drawn uniformly.
-
-        Args:
-            key: random key of the run.
-        """
-        drawn = jax.random.uniform(jax.random.fold_in(key, START_OF_MOVING), self.phase.shape)
-        return self.with_phase(drawn)
-
-    def at(self, time: Scalar) -> MovingObstacleState:
-        """Return the true positions and velocities of the discs at a time since the start [s]."""
+    def at(self, time: Scalar) -> MovingDiscs:
+        """Return where the discs truly are at a time since the start [s]."""
         travelled = self.phase * self.arc[:, -1] + self.speed * time
         positions, directions = jax.vmap(_place)(self.corners, self.arc, travelled)
-        return MovingObstacleState(positions, self.speed[:, None] * directions)
+        return MovingDiscs(positions, self.speed[:, None] * directions, self.radius)
 
-    def discs(self, time: Scalar) -> Float[Array, "M 3"]:
-        """Return (x, y, radius) of each disc at a time since the start [m]."""
-        return jnp.concatenate([self.at(time).positions, self.radius[:, None]], axis=-1)
+    def init(self, pose: Pose) -> Float[Array, " M"] | None:
+        """Return the phases; None without a disc."""
+        return self.phase if self.phase.shape[0] else None
 
+    def draw(self, own: Float[Array, " M"], key: Key) -> Float[Array, " M"]:
+        """Return the phases of a run."""
+        return jax.random.uniform(jax.random.fold_in(key, START_OF_MOVING), self.phase.shape)
 
-class MovingDiscs(NamedTuple):
-    """Positions (M, 2) [m], velocities (M, 2) [m/s] and radii (M,) [m] of discs at a moment.
-
-    They are for what moves without a path of its own, such as other robots.
-    """
-
-    positions: Float[Array, "M 2"]
-    velocities: Float[Array, "M 2"]
-    radius: Float[Array, " M"]
-
-    def at(self, time: Scalar) -> MovingObstacleState:
-        """Return the positions and velocities, which are those of one moment."""
-        return MovingObstacleState(self.positions, self.velocities)
-
-    def discs(self, time: Scalar) -> Float[Array, "M 3"]:
-        """Return (x, y, radius) of each disc [m]."""
-        return jnp.concatenate([self.positions, self.radius[:, None]], axis=-1)
-
-    def append_to(self, moving: MovingObstacles | None, time: Scalar) -> "MovingDiscs":
-        """Return these discs after the moving obstacles of a world at a time [s]."""
-        if moving is None:
-            return self
-        now = moving.at(time)
-        return MovingDiscs(
-            jnp.concatenate([now.positions, self.positions]),
-            jnp.concatenate([now.velocities, self.velocities]),
-            jnp.concatenate([moving.radius, self.radius]),
-        )
+    def discs(self, own: Float[Array, " M"] | None, time: Scalar) -> MovingDiscs | None:
+        """Return where the discs are in a run."""
+        return None if own is None else self.with_phase(own).at(time)
 
 
 def _place(

@@ -1,7 +1,11 @@
 """Fault injection: sensor dropouts, lost odometry, delayed commands, walls that appear, a robot
 that is carried away."""
 
+import math
+from typing import Any, ClassVar
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -9,23 +13,20 @@ from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DELAY
-from jaxplore._types import (
-    ArrayLike,
-    ControlVector,
-    Flag,
-    Pose,
-    Scalar,
-    StateVector,
-    Vector,
-)
+from jaxplore._types import ArrayLike, Flag, GridMask, Key, Pose, Scalar, StateVector, Vector
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.simulation.disturbances import Disturbance, Place
 
 NEVER = (0.0, 0.0)
 """Interval of length 0: the fault never happens."""
+_CARRYING = 2**31 + 5
+"""What is folded into the key of a run for the place; no step has such a number."""
 
 
-class Faults(eqx.Module):
+class Faults(Disturbance):
     """Faults to inject into a run; each lasts from a start to an end time [s].
 
     Args:
@@ -45,8 +46,12 @@ class Faults(eqx.Module):
     Raises:
         ValueError: a time that is negative or not finite, an end before its start, a delay that
                 is not a whole number >= 0, walls that are no array of booleans of a map's or a
-                volume's dimensions, a pose to be carried to without a time.
+                volume's dimensions, a pose to be carried to without a time. In a scenario walls of
+                another shape than its world, a pose that the robot cannot reach.
     """
+
+    name: ClassVar[str] = "faults"
+    is_blinding: ClassVar[bool] = True
 
     scan_dropout: Float[Array, "2"]
     lost_odometry: Float[Array, "2"]
@@ -93,6 +98,56 @@ class Faults(eqx.Module):
                 )
             self.walls = jnp.asarray(mask)
 
+    @property
+    def is_carrying(self) -> bool:
+        """Whether the robot is carried away."""
+        return self.carried_at is not None
+
+    def check(self, place: Place) -> None:
+        """Check the shape of the walls, and the pose to which the robot is carried."""
+        world, walls = place.world, self.walls
+        if walls is not None:
+            if world is None:
+                raise ValueError("faults has walls without a map; accepted: faults without walls")
+            own: tuple[int, ...] = world.shape
+            if isinstance(world, OccupancyGrid):
+                own = world.crop(world.probability).shape
+            # A world that is padded already may come with walls that are.
+            if walls.shape not in (own, world.shape):
+                raise ValueError(f"walls has shape {walls.shape}; accepted: the world's, {own}")
+        if self.carried_at is None:
+            return
+        if place.reachable is None or not isinstance(world, OccupancyGrid):
+            where = "without a map" if world is None else "in a volume"
+            raise ValueError(f"faults has carried_at {where}; accepted: faults without it")
+        if self.carried_to is None:
+            return
+        row, column = np.asarray(world.frame.to_cell(self.carried_to[:2])).tolist()
+        rows, columns = place.reachable.shape
+        is_on = 0 <= row < rows and 0 <= column < columns
+        if not (is_on and bool(place.reachable[row, column])):
+            raise ValueError(
+                f"carried_to is {place.datum.round_to_map(self.carried_to).tolist()}; accepted: a "
+                "pose at which the robot fits and to which it could drive"
+            )
+
+    def check_team(self, number: int) -> None:
+        """Check that each robot is put down at a place of its own."""
+        if self.carried_to is not None:
+            raise ValueError(
+                f"faults.carried_to is {np.asarray(self.carried_to).tolist()} for {number} robots; "
+                "accepted: without it, each is put down at a place of its own"
+            )
+
+    @property
+    def longest_delay(self) -> int:
+        """Delay of commands [control periods]."""
+        return self.control_delay
+
+    def delay(self, drawn: Any) -> int:
+        """Return the delay of commands [control periods]."""
+        return self.control_delay
+
     def world[World: (OccupancyGrid, VoxelGrid)](self, world: World, time: Scalar) -> World:
         """Return the world at a time since the start, with the walls that have appeared."""
         if self.walls is None:
@@ -107,16 +162,16 @@ class Faults(eqx.Module):
         return _during(self.scan_dropout, time)
 
     def observe(
-        self, state: StateVector, last: StateVector, time: Scalar, period: Scalar
+        self,
+        model: Dynamics,
+        state: StateVector,
+        last: StateVector,
+        drawn: Any,
+        time: Scalar,
+        period: Scalar,
+        key: Key,
     ) -> StateVector:
-        """Return the state (nx,) that the controller observes.
-
-        Args:
-            state: state of the robot.
-            last: the state that the controller observed before.
-            time: since the start [s].
-            period: time since that observation [s].
-        """
+        """Return the measured state (nx,), lost or frozen."""
         frozen = self.frozen_odometry
         # The first observation of the fault is still the true state, and later ones repeat it.
         is_stuck = _during(frozen, time) & _during(frozen, time - period)
@@ -128,25 +183,30 @@ class Faults(eqx.Module):
         intervals = (self.scan_dropout, self.lost_odometry, self.frozen_odometry)
         return jnp.stack([_during(interval, time) for interval in intervals]).any()
 
-    def is_carried(self, time: Scalar, period: Scalar) -> Flag:
-        """Check whether the robot is carried away at the end of a control period.
+    def landing(self, reachable: GridMask, frame: GridFrame, key: Key | None) -> Pose | None:
+        """Return the pose (x, y, yaw) at which the robot is put down; None if it is not carried.
 
-        Args:
-            time: beginning of the period, since the start [s].
-            period: control period [s].
+        Without a given pose it is uniform over the centres of the reachable cells and all yaws.
         """
+        if self.carried_at is None or self.carried_to is not None:
+            return self.carried_to
+        key = jax.random.fold_in(jax.random.key(0) if key is None else key, _CARRYING)
+        place, turn = jax.random.split(key)
+        before = jnp.cumsum(reachable.reshape(-1).astype(jnp.int32))
+        rank = jax.random.randint(place, (), 0, jnp.maximum(before[-1], 1))
+        # The first cell before which, itself included, there are more reachable cells than the
+        # rank.
+        flat = jnp.minimum(jnp.searchsorted(before, rank, side="right"), before.size - 1)
+        cell = jnp.stack(jnp.divmod(flat, reachable.shape[1])).astype(jnp.float32)
+        yaw = jax.random.uniform(turn, (), minval=-math.pi, maxval=math.pi)
+        return jnp.append(frame.to_world(cell + 0.5), yaw)
+
+    def is_carried(self, time: Scalar, period: Scalar) -> Flag | None:
+        """Return whether the robot is carried away at the end of a control period."""
         if self.carried_at is None:
-            return jnp.array(False)
+            return None
         # In one period alone, in that which the time lies in or begins with.
         return _during(jnp.stack([self.carried_at, self.carried_at + period]), time)
-
-    def delay(
-        self, pending: Float[Array, "D nu"], control: ControlVector
-    ) -> tuple[Float[Array, "D nu"], ControlVector]:
-        """Delay a command: return the pending commands (D, nu), oldest first, and the effective
-        one."""
-        queue = jnp.concatenate([pending, control[None]])
-        return queue[1:], queue[0]
 
 
 def _interval(name: str, value: Vector) -> Array:

@@ -1,7 +1,7 @@
 """Domain randomisation: a true robot that differs from episode to episode."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,7 +15,8 @@ from jaxplore._limits import MOST_DELAY
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector, Vector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.parameters import find_parameter, get_parameters, set_parameters, split_index
-from jaxplore.simulation.plant import as_plant, physical_part
+from jaxplore.parts.variation.plant import as_plant, physical_part
+from jaxplore.simulation.disturbances import Disturbance, Place
 
 SAME = (1.0, 1.0)
 """Interval of a factor without variation."""
@@ -49,7 +50,7 @@ class Drawn(NamedTuple):
     heading_noise: Scalar
 
 
-class Variation(eqx.Module):
+class Variation(Disturbance):
     """Distributions from which the true robot of each episode is drawn (domain randomisation).
 
     Every argument is an interval (low, high), from which an episode draws a number uniformly, by
@@ -80,8 +81,12 @@ class Variation(eqx.Module):
     Raises:
         ValueError: an interval that is not two finite numbers, the low one first; a gain that is
             not positive, a slip outside [0, 1), a delay that is no whole number, a negative delay
-            or deviation.
+            or deviation. In a scenario a parameter that the robot does not have, or an interval
+            beyond zero.
     """
+
+    name: ClassVar[str] = "variation"
+    is_varying: ClassVar[bool] = True
 
     parameters: dict[str, Float[Array, "2"]]
     gain: Float[Array, "2"]
@@ -122,19 +127,12 @@ class Variation(eqx.Module):
         self.heading_noise = _interval("heading_noise", heading_noise, least=0.0)
         self.control_delay = _periods("control_delay", control_delay)
 
-    def check(self, robot: Dynamics) -> None:
-        """Check that a robot has the parameters, and that the intervals have their sign.
-
-        Args:
-            robot: model of the robot.
-
-        Raises:
-            ValueError: an unknown path, an array without an index, an interval beyond zero.
-        """
-        known = get_parameters(robot)
+    def check(self, place: Place) -> None:
+        """Check that the robot has the parameters, and that the intervals have their sign."""
+        known = get_parameters(place.robot)
         for name, interval in self.parameters.items():
             path, index = split_index(name)
-            value = known[find_parameter(robot, path)]
+            value = known[find_parameter(place.robot, path)]
             accepted = f"{path}[0] to {path}[{value.size - 1}]"
             if index is None and value.size != 1:
                 raise ValueError(
@@ -152,14 +150,14 @@ class Variation(eqx.Module):
                     f"accepted: numbers {'>=' if nominal > 0.0 else '<='} 0"
                 )
 
-    def draw(self, key: Key | None, robot: Dynamics) -> Drawn:
-        """Draw the variation of an episode.
+    @property
+    def longest_delay(self) -> int:
+        """Longest delay of commands in any episode [control periods]."""
+        return self.control_delay[1]
 
-        Args:
-            key: key of the run; the middle of each interval when absent.
-            robot: model of the robot.
-        """
-        number = physical_part(robot).control_size
+    def draw(self, key: Key | None, model: Dynamics) -> Drawn:
+        """Draw the variation of an episode."""
+        number = physical_part(model).control_size
         scalars = {
             "slip": self.slip,
             "turn_slip": self.turn_slip,
@@ -191,52 +189,41 @@ class Variation(eqx.Module):
             **drawn,
         )
 
-    def robot(self, robot: Dynamics, drawn: Drawn, key: Key) -> Dynamics:
-        """Return the true robot of a step.
-
-        Args:
-            robot: model of the robot.
-            drawn: variation of the episode.
-            key: key of the step.
-        """
-        known = get_parameters(robot)
+    def true_robot(self, model: Dynamics, drawn: Drawn, key: Key) -> Dynamics:
+        """Return the true robot of a step."""
+        known = get_parameters(model)
         values: dict[str, Array] = {}
         for name, value in drawn.parameters.items():
             path, index = split_index(name)
-            full = find_parameter(robot, path)
+            full = find_parameter(model, path)
             array = values.get(full, known[full])
             flat = array.reshape(-1).at[index or 0].set(value)
             values[full] = flat.reshape(array.shape)
-        varied = set_parameters(robot, values) if values else robot
+        varied = set_parameters(model, values) if values else model
         physical = physical_part(varied)
         normal = jax.random.normal(jax.random.fold_in(key, _CONTROL_NOISE), drawn.gain.shape)
         noise = drawn.control_noise * physical.control_half_range * normal
         return as_plant(varied, drawn.gain, noise, drawn.slip, drawn.turn_slip)
 
-    def observe(self, robot: Dynamics, state: StateVector, drawn: Drawn, key: Key) -> StateVector:
-        """Return a state (nx,) as the robot observes it, with noise of position and yaw.
-
-        Args:
-            robot: model of the robot.
-            state: true state.
-            drawn: variation of the episode.
-            key: key of the step.
-        """
+    def observe(
+        self,
+        model: Dynamics,
+        state: StateVector,
+        last: StateVector,
+        drawn: Drawn,
+        time: Scalar,
+        period: Scalar,
+        key: Key,
+    ) -> StateVector:
+        """Return a state (nx,) with noise of position and yaw."""
         stds = {"x": drawn.position_noise, "y": drawn.position_noise, "yaw": drawn.heading_noise}
-        std = jnp.stack([stds.get(name, jnp.zeros(())) for name in robot.state_names])
+        std = jnp.stack([stds.get(name, jnp.zeros(())) for name in model.state_names])
         normal = jax.random.normal(jax.random.fold_in(key, _POSE_NOISE), state.shape)
         return state + std * normal
 
-    def delay(
-        self, pending: Float[Array, "D nu"], control: ControlVector, drawn: Drawn
-    ) -> tuple[Float[Array, "D nu"], ControlVector]:
-        """Delay a command: return the pending commands (D, nu), oldest first, and the effective
-        one.
-
-        There is room for the longest delay. A shorter one takes a younger command.
-        """
-        queue = jnp.concatenate([pending, control[None]])
-        return queue[1:], queue[self.control_delay[1] - drawn.control_delay]
+    def delay(self, drawn: Drawn) -> Count:
+        """Return the delay of commands in an episode [control periods]."""
+        return drawn.control_delay
 
 
 def _interpolate(interval: Float[Array, "2"], share: Scalar) -> Scalar:

@@ -1,0 +1,1 @@
+"""Obstacles that move on paths, such as people who walk."""

@@ -1,0 +1,1 @@
+"""Robots that differ from their model, from episode to episode."""
