@@ -298,7 +298,7 @@ def test_a_goal_that_is_accepted_has_room_within_its_radius() -> None:
         goal = [round(each, 3) for each in place]
         most = room_at(goal + radius * ball).max()
         try:
-            jx.VolumeScenario(given, robot, CAMERA, START, goal=goal, goal_radius=radius)
+            jx.VolumeScenario(given, robot, CAMERA, START, goal=jx.Goal(goal, radius=radius))
         except ValueError:
             refused += 1
             # Of the radius, a tenth is for control, and clearance is up to half a voxel short.

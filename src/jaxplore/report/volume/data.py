@@ -152,13 +152,12 @@ class VolumeData(PartsData):
 
     def _move_records(self, offset: np.ndarray) -> VolumeRecord:
         records: VolumeRecord = move_records(self.records, offset, self.state_names)
-        return records._replace(
-            **{
-                name: move_points(getattr(records, name), offset)
-                for name in ("estimate", "reckoned")
-                if getattr(records, name) is not None
-            }
-        )
+        moved: dict[str, Any] = {
+            name: move_points(getattr(records, name), offset)
+            for name in ("estimate", "reckoned")
+            if getattr(records, name) is not None
+        }
+        return records._replace(**moved)
 
     @property
     def live_curves(self) -> LiveCurves:
@@ -189,7 +188,7 @@ class VolumeData(PartsData):
             (self.records.reckoned, ":", "by odometry alone"),
             (self.records.estimate, "--", "estimated way"),
         )
-        return [(np.asarray(each), *words) for each, *words in named if each is not None]
+        return [(np.asarray(each), style, what) for each, style, what in named if each is not None]
 
     @property
     def headings(self) -> np.ndarray:
@@ -301,6 +300,9 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
     """Compute the metrics of a run; without a step those of its start."""
     records, period = data.records, data.control_period
     coverage, given_up = data.coverage, data.given_up_step
+    errors: dict[str, Any] = flight_errors(
+        data.positions[1:], data.headings[1:], records.estimate, records.reckoned
+    )
     steps = np.linalg.norm(np.diff(data.positions, axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])
     tallies = data.tallies()
@@ -335,6 +337,6 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         untraversable_steps=0
         if records.is_untraversable is None
         else int(np.asarray(records.is_untraversable, bool).sum()),
-        **flight_errors(data.positions[1:], data.headings[1:], records.estimate, records.reckoned),
+        **errors,
         curve=thin_series(curve, period),
     )

@@ -11,7 +11,10 @@ NAMES = ("ate", "odometry_ate", "rpe", "greatest_error")
 
 
 def flight_errors(
-    positions: Rows, headings: Rows, estimate: Rows | None, reckoned: Rows | None
+    positions: np.ndarray,
+    headings: np.ndarray,
+    estimate: np.ndarray | None,
+    reckoned: np.ndarray | None,
 ) -> dict[str, float | None]:
     """Return the errors of a flight, as in `VolumeMetrics`; None where the pose was known.
 
