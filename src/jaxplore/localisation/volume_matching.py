@@ -11,9 +11,9 @@ from jaxplore import _checks
 from jaxplore._types import ArrayLike, Count, Scalar
 from jaxplore.geometry.level_motion import LevelMatrix, LevelPose, turn
 from jaxplore.localisation.scan_matching import filter_information
+from jaxplore.localisation.surface import ROUGH_WEIGHT
 from jaxplore.localisation.volume_surface import (
     LEAST_NOISE,
-    ROUGH_WEIGHT,
     VolumePoints,
     VolumeSurface,
 )

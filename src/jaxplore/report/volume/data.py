@@ -148,13 +148,12 @@ class VolumeData(RunData):
 
     def _move_records(self, offset: np.ndarray) -> VolumeRecord:
         records: VolumeRecord = move_records(self.records, offset, self.state_names)
-        return records._replace(
-            **{
-                name: move_points(getattr(records, name), offset)
-                for name in ("estimate", "reckoned")
-                if getattr(records, name) is not None
-            }
-        )
+        moved: dict[str, Any] = {
+            name: move_points(getattr(records, name), offset)
+            for name in ("estimate", "reckoned")
+            if getattr(records, name) is not None
+        }
+        return records._replace(**moved)
 
     @property
     def live_curves(self) -> LiveCurves:
@@ -186,7 +185,9 @@ class VolumeData(RunData):
             (self.records.reckoned, ":", "by odometry alone"),
             (self.records.estimate, "--", "estimated way"),
         )
-        return [(np.asarray(each), *words) for each, *words in named if each is not None]
+        return [
+            (np.asarray(each), style, label) for each, style, label in named if each is not None
+        ]
 
     @property
     def headings(self) -> np.ndarray:
@@ -303,6 +304,15 @@ class VolumeMetrics(GuardMetrics):
         return [("trajectory error", error), ("  of odometry", f"{text(self.odometry_ate, 2)} m")]
 
 
+def _pose_errors(data: VolumeData) -> dict[str, Any]:
+    """Return the errors of where a robot took itself to be, as in `VolumeMetrics`."""
+    found, alone = data.records.estimate, data.records.reckoned
+    if found is None or alone is None:
+        return flight_errors(data.positions[1:], data.headings[1:], None, None)
+    poses = np.asarray(found), np.asarray(alone)
+    return flight_errors(data.positions[1:], data.headings[1:], *poses)
+
+
 def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> VolumeMetrics:
     """Compute the metrics of a run; without a step those of its start."""
     records, period = data.records, data.control_period
@@ -343,6 +353,6 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         untraversable_steps=0
         if records.is_untraversable is None
         else int(np.asarray(records.is_untraversable, bool).sum()),
-        **flight_errors(data.positions[1:], data.headings[1:], records.estimate, records.reckoned),
+        **_pose_errors(data),
         curve=thin_series(curve, period),
     )
