@@ -66,6 +66,8 @@ RECORDS = {
     "StrategicBelief",
     "SumCost",
     "SurfaceMap",
+    "VolumePoints",
+    "VolumeSurface",
     "TargetScores",
     "TerrainMap",
     "VolumeBelief",

@@ -11,8 +11,9 @@ from scipy.ndimage import map_coordinates
 
 from jaxplore.geometry.level_motion import between, compose, propagate_covariance
 from jaxplore.localisation import VolumeMatcher, VolumeOdometry, VolumePoints, VolumeSurface
+from jaxplore.localisation.surface import ROUGH_WEIGHT
 from jaxplore.localisation.volume_matching import SHARED
-from jaxplore.localisation.volume_surface import LEAST_NOISE, ROUGH_WEIGHT, smallest_axis
+from jaxplore.localisation.volume_surface import LEAST_NOISE, smallest_axis
 from jaxplore.maps import VoxelGrid
 from jaxplore.sensing import DepthCamera
 

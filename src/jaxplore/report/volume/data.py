@@ -188,7 +188,9 @@ class VolumeData(PartsData):
             (self.records.reckoned, ":", "by odometry alone"),
             (self.records.estimate, "--", "estimated way"),
         )
-        return [(np.asarray(each), style, what) for each, style, what in named if each is not None]
+        return [
+            (np.asarray(each), style, label) for each, style, label in named if each is not None
+        ]
 
     @property
     def headings(self) -> np.ndarray:
@@ -296,13 +298,19 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
         return [("trajectory error", error), ("  of odometry", f"{text(self.odometry_ate, 2)} m")]
 
 
+def _pose_errors(data: VolumeData) -> dict[str, Any]:
+    """Return the errors of where a robot took itself to be, as in `VolumeMetrics`."""
+    found, alone = data.records.estimate, data.records.reckoned
+    if found is None or alone is None:
+        return flight_errors(data.positions[1:], data.headings[1:], None, None)
+    poses = np.asarray(found), np.asarray(alone)
+    return flight_errors(data.positions[1:], data.headings[1:], *poses)
+
+
 def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> VolumeMetrics:
     """Compute the metrics of a run; without a step those of its start."""
     records, period = data.records, data.control_period
     coverage, given_up = data.coverage, data.given_up_step
-    errors: dict[str, Any] = flight_errors(
-        data.positions[1:], data.headings[1:], records.estimate, records.reckoned
-    )
     steps = np.linalg.norm(np.diff(data.positions, axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])
     tallies = data.tallies()
@@ -337,6 +345,6 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         untraversable_steps=0
         if records.is_untraversable is None
         else int(np.asarray(records.is_untraversable, bool).sum()),
-        **errors,
+        **_pose_errors(data),
         curve=thin_series(curve, period),
     )

@@ -1,21 +1,21 @@
 """Errors of where a robot in a volume took itself to be. All is NumPy in double precision."""
 
-import numpy as np
+from typing import Any
 
-from jaxplore._types import Rows
+import numpy as np
+from numpy.typing import NDArray
+
 from jaxplore.geometry.motion import motions_between
 from jaxplore.report.exploration.localisation import RPE_LENGTH
 from jaxplore.report.localisation import align
 
+type _Floats = NDArray[Any]
 NAMES = ("ate", "odometry_ate", "rpe", "greatest_error")
 
 
 def flight_errors(
-    positions: np.ndarray,
-    headings: np.ndarray,
-    estimate: np.ndarray | None,
-    reckoned: np.ndarray | None,
-) -> dict[str, float | None]:
+    positions: _Floats, headings: _Floats, estimate: _Floats | None, reckoned: _Floats | None
+) -> dict[str, Any]:
     """Return the errors of a flight, as in `VolumeMetrics`; None where the pose was known.
 
     Args:
@@ -36,7 +36,7 @@ def flight_errors(
     }
 
 
-def absolute_error(true: Rows, estimated: Rows) -> float:
+def absolute_error(true: _Floats, estimated: _Floats) -> float:
     """Return the absolute trajectory error of poses (N, 4) after an alignment [m].
 
     It is that of `jaxplore.report.absolute_error` in space: the root mean square of the distances
@@ -50,7 +50,7 @@ def absolute_error(true: Rows, estimated: Rows) -> float:
     return float(np.sqrt((away**2).sum(axis=1).mean()))
 
 
-def relative_error(true: Rows, estimated: Rows, length: float) -> float | None:
+def relative_error(true: _Floats, estimated: _Floats, length: float) -> float | None:
     """Return the relative pose error over pieces of a flown length [m]; None without any.
 
     As `jaxplore.report.relative_error` in space: a piece ends at the first pose that the true robot
