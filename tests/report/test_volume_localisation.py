@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from jaxplore.report.volume.localisation import absolute_error, flight_errors, relative_error
+from jaxplore.report.volume.localisation import (
+    ERRORS,
+    absolute_error,
+    flight_errors,
+    relative_error,
+)
 
 
 def turned(yaw: float) -> np.ndarray:
@@ -42,6 +47,13 @@ def test_the_relative_error_of_a_straight_flight() -> None:
     assert relative_error(true, found, 11.0) is None
 
 
-def test_a_robot_that_knows_its_pose_has_no_errors() -> None:
-    found = flight_errors(np.zeros((4, 3)), np.zeros(4), None, None)
-    assert set(found.values()) == {None}
+def test_a_constant_offset_is_no_error_of_the_trajectory() -> None:
+    places, headings = np.cumsum(np.ones((20, 3)), axis=0), np.zeros(20)
+    known = np.column_stack([places, headings])
+    found = flight_errors(places, headings, known + [0.3, 0.4, 0.0, 0.0], known * [1, 1, 2, 1])
+    assert tuple(found) == ERRORS
+    assert found["ate"] == pytest.approx(0.0, abs=1e-9)
+    assert found["rpe"] == pytest.approx(0.0, abs=1e-9)
+    assert found["greatest_error"] == pytest.approx(0.5)
+    # A height that is doubled is off by its deviation from the mean.
+    assert found["odometry_ate"] == pytest.approx(np.std(np.arange(20.0)))

@@ -68,7 +68,7 @@ def test_walls_are_counted_cell_by_cell(seed: int) -> None:
 def ends(target: str, coverage: float, idle: float, walls: float) -> bool:
     progress = MapProgress(NOTHING + coverage, *(NOTHING for _ in range(3)))
     known = Knowledge(NOTHING + idle, NOTHING + walls)
-    nobody, least = jnp.zeros(0, bool), NOTHING + 0.9
+    nobody, least = None, NOTHING + 0.9
     end = (jnp.asarray(TARGETS.index(target)), least, known, None, NOTHING)
     return bool(is_finished(progress, nobody, *end, counts_walls=target == "walls"))
 

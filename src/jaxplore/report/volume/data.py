@@ -24,7 +24,7 @@ from jaxplore.report.metrics import Column, Curve, thin_series
 from jaxplore.report.motion import episodes
 from jaxplore.report.of_parts import PartsData, PartsMetrics
 from jaxplore.report.recording import Frame, LiveCurves, move_records, move_states
-from jaxplore.report.volume.localisation import flight_errors
+from jaxplore.report.volume.localisation import ERRORS, flight_errors
 
 
 class VolumeRecord(NamedTuple):
@@ -301,8 +301,8 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
 def _pose_errors(data: VolumeData) -> dict[str, Any]:
     """Return the errors of where a robot took itself to be, as in `VolumeMetrics`."""
     found, alone = data.records.estimate, data.records.reckoned
-    if found is None or alone is None:
-        return flight_errors(data.positions[1:], data.headings[1:], None, None)
+    if found is None or alone is None or not data.num_steps:
+        return dict.fromkeys(ERRORS)
     poses = np.asarray(found), np.asarray(alone)
     return flight_errors(data.positions[1:], data.headings[1:], *poses)
 

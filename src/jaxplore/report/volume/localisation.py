@@ -10,13 +10,14 @@ from jaxplore.report.exploration.localisation import RPE_LENGTH
 from jaxplore.report.localisation import align
 
 type _Floats = NDArray[Any]
-NAMES = ("ate", "odometry_ate", "rpe", "greatest_error")
+ERRORS = ("ate", "odometry_ate", "rpe", "greatest_error")
+"""Names of the errors of a flight, see `VolumeMetrics`."""
 
 
 def flight_errors(
-    positions: _Floats, headings: _Floats, estimate: _Floats | None, reckoned: _Floats | None
-) -> dict[str, Any]:
-    """Return the errors of a flight, as in `VolumeMetrics`; None where the pose was known.
+    positions: _Floats, headings: _Floats, estimate: _Floats, reckoned: _Floats
+) -> dict[str, float | None]:
+    """Return the errors of a flight of N > 0 steps, as in `VolumeMetrics`.
 
     Args:
         positions: true positions (N, 3), with z up [m].
@@ -24,8 +25,6 @@ def flight_errors(
         estimate: estimated poses (N, 4) as (x, y, z, yaw) [m, m, m, rad].
         reckoned: the same by the odometry alone.
     """
-    if estimate is None or reckoned is None or not len(positions):
-        return dict.fromkeys(NAMES)
     true = np.column_stack([positions, headings]).astype(np.float64)
     found, alone = np.asarray(estimate, np.float64), np.asarray(reckoned, np.float64)
     return {

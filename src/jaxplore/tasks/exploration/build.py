@@ -77,10 +77,9 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         parts = tuple(part.unplaced() for part in equipment.parts)
         equipment = Equipment(parts, (), equipment.perception, ())
     perception = _perception(settings, robot, world, sensors, equipment)
-    ground, goal = world.ground, None
-    if world.goal is not None:
-        numbers = {**arguments(settings, Goal), "max_unknown": _choose_max_unknown(settings)}
-        goal = Goal(world.goal[:2], **numbers)
+    ground = world.ground
+    numbers = {**arguments(settings, Goal), "max_unknown": _choose_max_unknown(settings)}
+    goal = None if world.goal is None else Goal(world.goal[:2], **numbers)
     scenario = ExplorationScenario(
         world.grid if ground is None else TerrainMap(world.grid, ground),
         robot,

@@ -81,6 +81,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         sensor_model=build_sensor_model(settings.sensor_model),
         **arguments(settings.fields, VolumePerception),
     )
+    numbers = arguments(settings, Goal)
     search = [datum.to_local(each) for each in settings.search]
     scenario = VolumeScenario(
         world,
@@ -89,7 +90,7 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         _start(settings, world, robot, datum),
         perception=perception,
         localiser=_localiser(settings.localisation),
-        goal=None if goal is None else Goal(goal, **arguments(settings, Goal)),
+        goal=None if goal is None else Goal(goal, **numbers),
         truths=(*equipment.truths, *([Targets(search)] if search else [])),
         datum=datum,
         **arguments(settings, VolumeScenario),
