@@ -50,7 +50,9 @@ def test_the_relative_error_of_a_straight_flight() -> None:
 def test_a_constant_offset_is_no_error_of_the_trajectory() -> None:
     places, headings = np.cumsum(np.ones((20, 3)), axis=0), np.zeros(20)
     known = np.column_stack([places, headings])
-    found = flight_errors(places, headings, known + [0.3, 0.4, 0.0, 0.0], known * [1, 1, 2, 1])
+    found = flight_errors(
+        places, headings, known + np.array([0.3, 0.4, 0, 0]), known * [1, 1, 2, 1]
+    )
     assert tuple(found) == ERRORS
     assert found["ate"] == pytest.approx(0.0, abs=1e-9)
     assert found["rpe"] == pytest.approx(0.0, abs=1e-9)
