@@ -50,8 +50,8 @@ def make(faults: Faults | None = NO_WALLS, x: float = 0.6, **more) -> Exploratio
         faults = eqx.tree_at(
             lambda each: each.walls, faults, NO_WALLS.walls, is_leaf=lambda leaf: leaf is None
         )
-    ends = {"target_coverage": 1.0, "max_unknown": 0.0}
-    return hall(UNKNOWN, faults=faults, start=(x, 1.5, 0.0), **ends, **more)
+    given = {"ends": {"max_unknown": 0.0}, "target_coverage": 1.0, **more}
+    return hall(UNKNOWN, faults=faults, start=(x, 1.5, 0.0), **given)
 
 
 def run(

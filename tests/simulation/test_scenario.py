@@ -300,7 +300,7 @@ def test_what_cannot_be_seen_or_reached_is_named(arguments: dict, message: str) 
         ([(0.5, 0.5), (1.5, 2.05)], r"targets\[1\] is .*; accepted: a place in free"),
         ([(0.5, 0.5), (3.5, 0.5)], r"targets\[1\] is \[3.5, 0.5\]; accepted"),
         ([(0.5, math.nan)], r"targets\[0\] is \[0.5, nan\]; accepted"),
-        ([(0.5, 0.5, 0.0)], r"places has shape \(1, 3\); accepted: \(M, 2\)"),
+        ([(0.5, 0.5, 0.0)], r"targets have shape \(1, 3\); accepted: \(M, 2\)"),
         (np.zeros((0, 2)), r"places has shape \(0, 2\); accepted: .* M >= 1"),
         ((0.5, 0.5), r"places has shape \(2,\); accepted: \(M, 2\)"),
     ],
@@ -332,7 +332,9 @@ def test_truths_of_parts_end_a_task_together_and_in_place_of_the_map() -> None:
     assert plain.objective == "finished_at + 100*collisions"
     made = scenario(truths=[Wheels(Chassis(0.4, 0.3, 0.1)), Bell(), Targets([(0.5, 0.5)])])
     # What the task is about comes first, in the order in which it is given.
-    assert made.metric_groups == ("bell", "targets", "wheels")
+    assert [each.name for each in made.truths] == ["bell", "targets", "wheels"]
+    # A bell has no report.
+    assert made.metric_groups == ("targets", "wheels")
     assert made.objective == "bell.rung_at + 100*collisions"
     for is_rung, is_found in itertools.product((False, True), repeat=2):
         states = {"bell": jnp.array(is_rung), "targets": jnp.array([is_found])}

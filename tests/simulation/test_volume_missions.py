@@ -219,7 +219,7 @@ def test_the_cost_of_the_way_is_what_it_says() -> None:
 
 
 def test_flying_where_the_camera_does_not_look_costs_fourfold_among_people() -> None:
-    given = volume(start=START, goal=GOAL, moving_obstacles=PEOPLE)
+    given = volume(start=START, goal=GOAL, truths=[PEOPLE])
     _, belief = given.init(None)
     # 1 m/s to the left and 2 m/s backwards; nobody has been seen yet.
     values = QUADROTOR.at_pose(4.0, 2.0, 0.0, -1.2).at[3:5].set(jnp.array([-2.0, 1.0]))
