@@ -4,7 +4,7 @@ import pytest
 
 from jaxplore.localisation import InertialOdometry, Odometry
 from jaxplore.localisation.odometry_model import OdometryModel
-from jaxplore.tasks.exploration.localisation import build_localisation
+from jaxplore.parts.localisation.settings import make_localisation
 from jaxplore.tasks.registry import make_settings
 from jaxplore.tasks.robot import build_sensors
 
@@ -13,8 +13,8 @@ def odometry(model: str, **localisation) -> OdometryModel:
     settings = make_settings(
         {"map": "office", "robot": {"model": model}, "localisation": localisation}
     )
-    found = build_localisation(settings, build_sensors(settings)[0], 0.1, is_map_known=True)
-    assert found is not None
+    given = settings.localisation, settings.robot.model, build_sensors(settings)[0], 0.1
+    found = make_localisation(*given, is_map_known=True)
     assert found.odometry is found.localiser.expected_odometry
     return found.odometry
 

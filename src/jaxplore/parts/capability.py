@@ -30,6 +30,8 @@ class Surroundings(NamedTuple):
         ground: the ground that the robot knows; None if it is level.
         seed: seed of the run.
         has_others: whether there are other robots.
+        sensors: sensors of the robot in the plane.
+        is_map_known: whether the robot knows the map in advance.
     """
 
     datum: Datum
@@ -40,6 +42,8 @@ class Surroundings(NamedTuple):
     ground: Ground | None = None
     seed: int = 0
     has_others: bool = False
+    sensors: tuple[Any, ...] = ()
+    is_map_known: bool = False
 
 
 class Built(NamedTuple):
@@ -50,12 +54,14 @@ class Built(NamedTuple):
         truth: what is true of it in a simulation; None for the default of the part, if it has one.
         perception: further arguments of the `Perception` in the plane.
         disturbance: what makes the simulated robot differ from its model.
+        scenario: further arguments of the scenario.
     """
 
     part: Part | None = None
     truth: PartTruth | None = None
     perception: Mapping[str, Any] = MappingProxyType({})
     disturbance: Disturbance | None = None
+    scenario: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from jaxplore.parts.battery.settings import BATTERY, BATTERY_IN_VOLUME
 from jaxplore.parts.capability import Capability, Surroundings
 from jaxplore.parts.faults.settings import FAULTS
 from jaxplore.parts.keep_out.settings import KEEP_OUT, KEEP_OUT_BOXES
+from jaxplore.parts.localisation.settings import LOCALISATION, LOCALISATION_IN_VOLUME
 from jaxplore.parts.moving.settings import PEOPLE, PEOPLE_IN_VOLUME
 from jaxplore.parts.recognition.settings import DETECTOR
 from jaxplore.parts.targets.settings import TARGETS
@@ -35,18 +36,21 @@ CAPABILITIES: tuple[Capability, ...] = (
     CHASSIS,
     BATTERY,
     BATTERY_IN_VOLUME,
+    LOCALISATION,
+    LOCALISATION_IN_VOLUME,
 )
 """Capabilities, a row each. A robot has its parts and its disturbances in this order."""
 
 
 class Equipment(NamedTuple):
     """What a robot has beside its map, what is given as true of it, arguments of its `Perception`,
-    and what disturbs it."""
+    what disturbs it, and arguments of its scenario."""
 
     parts: tuple[Part, ...]
     truths: tuple[PartTruth, ...]
     perception: dict[str, Any]
     disturbances: tuple[Disturbance, ...]
+    scenario: dict[str, Any]
 
 
 def with_capabilities[Settings: RunSettings](
@@ -80,6 +84,7 @@ def build_parts(settings: RunSettings, surroundings: Surroundings) -> Equipment:
         tuple(each.truth for each in built if each.truth is not None),
         {name: value for each in built for name, value in each.perception.items()},
         tuple(each.disturbance for each in built if each.disturbance is not None),
+        {name: value for each in built for name, value in each.scenario.items()},
     )
 
 

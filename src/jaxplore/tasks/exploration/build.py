@@ -20,7 +20,6 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.tasks.exploration.controllers import build_controller
 from jaxplore.tasks.exploration.fleet import build_fleet
-from jaxplore.tasks.exploration.localisation import build_localisation
 from jaxplore.tasks.exploration.settings import Settings, make_exploration_settings
 from jaxplore.tasks.exploration.world import (
     RunWorld,
@@ -75,7 +74,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
     equipment = build_parts(settings, around)
     if not world.is_placed:
         parts = tuple(part.unplaced() for part in equipment.parts)
-        equipment = Equipment(parts, (), equipment.perception, ())
+        equipment = Equipment(parts, (), equipment.perception, (), equipment.scenario)
     perception = _perception(settings, robot, world, sensors, equipment)
     ground = world.ground
     numbers = {**arguments(settings, Goal), "max_unknown": _choose_max_unknown(settings)}
@@ -89,11 +88,9 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         prior=world.prior,
         goal=goal,
         altitude=settings.altitude,
-        localisation=build_localisation(
-            settings, sensors[0], world.grid.resolution, is_map_known=world.prior is not None
-        ),
         truths=equipment.truths,
         datum=world.datum,
+        **equipment.scenario,
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     ).with_disturbances(equipment.disturbances)
@@ -138,7 +135,6 @@ def _perception(
         and goal is not None
         and not settings.returns,
         car=car_motion(robot),
-        is_localising=settings.localisation is not None,
         **equipment.perception,
         **arguments(settings.fields, Perception),
         **unknown,

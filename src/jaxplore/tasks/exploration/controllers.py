@@ -10,6 +10,8 @@ from jaxplore.belief.zones import Zones
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.integrators import Euler
+from jaxplore.dynamics.uncertain import UncertainRobot
+from jaxplore.parts.localisation.settings import LOCALISATION
 from jaxplore.parts.registry import control_arguments
 from jaxplore.planning.portfolio.contextual import ROLES, Contextual
 from jaxplore.planning.portfolio.fusion import Fusion
@@ -34,7 +36,6 @@ from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.tasks.exploration.fleet import cost_of_others, has_others
-from jaxplore.tasks.exploration.localisation import uncertain_robot
 from jaxplore.tasks.exploration.settings import Settings
 from jaxplore.tasks.exploration.world import RunWorld, surroundings
 from jaxplore.tasks.robot import build_robot
@@ -59,8 +60,8 @@ def build_controller(
         **told,
     }
     if settings.architecture == "explorer":
-        uncertain = uncertain_robot(scenario, settings.rates.sensing)
-        given = settings.localisation
+        uncertain = _uncertain_robot(scenario, settings.rates.sensing)
+        given = LOCALISATION.find_section(settings)
         controller = explorer(
             robot,
             uncertain=uncertain,
@@ -204,3 +205,15 @@ def _fusion(settings: Settings, goal: tuple[float, ...] | None) -> Fusion:
     else:
         fusion = fusion_by_name(given.fusion)
     return SafeFusion(fusion, **arguments(given, SafeFusion)) if given.is_safe else fusion
+
+
+def _uncertain_robot(scenario: ExplorationScenario, rate: float) -> UncertainRobot | None:
+    """Return the robot with the variance of its position; None if plans do not know it.
+
+    `rate` is that of the scans [Hz].
+    """
+    known = scenario.localisation
+    if known is None or known.certainty is None:
+        return None
+    added = known.localiser.expected_odometry.variance_per_metre
+    return UncertainRobot(scenario.robot, known.certainty.blank(), added, rate)

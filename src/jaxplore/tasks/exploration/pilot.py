@@ -19,6 +19,11 @@ from jaxplore.onboard.goals import GoalChooser
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.parameters import set_parameters
+from jaxplore.parts.localisation.settings import (
+    LOCALISATION,
+    LocalisationSettings,
+    make_localisation,
+)
 from jaxplore.parts.registry import CAPABILITIES, control_arguments
 from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
@@ -28,7 +33,6 @@ from jaxplore.settings.defaults import arguments
 from jaxplore.settings.node import NodeSettings, part_node
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.tasks.exploration.build import build_in, build_scenario
-from jaxplore.tasks.exploration.localisation import build_localisation
 from jaxplore.tasks.exploration.settings import OFFICE, Settings, make_exploration_settings
 from jaxplore.tasks.exploration.world import RunWorld, surroundings
 from jaxplore.tasks.robot import build_robot, build_sensor_model, build_sensors
@@ -187,8 +191,8 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
 
 def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation | None, Settings]:
     """Return how the pilot finds its pose, and the settings of its scenario, which knows it."""
-    given = settings.localisation
-    if node.pose == "external" or given is None:
+    given = LOCALISATION.find_section(settings)
+    if node.pose == "external" or not isinstance(given, LocalisationSettings):
         return None, settings
     if given.method != "matching":
         raise ValueError(
@@ -202,8 +206,9 @@ def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation 
                 f"setting localisation.{name} is {value:g} with node.pose internal; accepted: "
                 f"{'none' if accepted is None else '0'}, for plans of a robot know no uncertainty"
             )
-    found = build_localisation(settings, build_sensors(settings)[0], settings.resolution)
-    return found, settings.model_copy(update={"localisation": None})
+    sensor = build_sensors(settings)[0]
+    found = make_localisation(given, settings.robot.model, sensor, settings.resolution)
+    return found, settings.model_copy(update={LOCALISATION.name: None})
 
 
 def _build_following(

@@ -23,7 +23,6 @@ from jaxplore.settings.code_names import WordsOrOwn
 from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.fleet import FleetSettings
-from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.readers import Readers
 from jaxplore.settings.robot import (
@@ -175,8 +174,6 @@ class Settings(RunSettings):
         robot: the robot.
         lidar: the lidar of the robot.
         camera: the camera, which becomes the primary sensor; no camera when absent.
-        localisation: odometry with errors and how the robot finds its pose; it knows its pose when
-            absent.
         is_map_known: whether the robot knows the map in advance; a world has entries for what it
             knows.
         terrain: the ground.
@@ -216,7 +213,6 @@ class Settings(RunSettings):
     robot: RobotSettings = RobotSettings()
     lidar: LidarSettings = LidarSettings()
     camera: CameraSettings | None = None
-    localisation: LocalisationSettings | None = None
     terrain: TerrainSettings = TerrainSettings()
     sensor_model: SensorModelSettings = SensorModelSettings()
     fields: FieldSettings = FieldSettings()

@@ -17,6 +17,7 @@ from jaxplore.settings.defaults import arguments
 from jaxplore.simulation.exploration.reachability import open_spot, with_closed
 from jaxplore.tasks.exploration.fleet import has_others
 from jaxplore.tasks.exploration.settings import OFFICE, ZONES, Settings
+from jaxplore.tasks.robot import build_sensors
 
 ENOUGH = 1.0 - 1e-6
 """Maps finer than this share of the wanted resolution are resampled. Equal ones differ by rounding
@@ -91,6 +92,8 @@ def surroundings(settings: Settings, world: RunWorld, robot: Dynamics) -> Surrou
         world.ground,
         settings.seed,
         has_others(settings),
+        build_sensors(settings),
+        world.prior is not None,
     )
 
 

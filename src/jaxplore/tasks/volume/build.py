@@ -16,8 +16,6 @@ from jaxplore.control.guard import WALL_MARGIN, MotionGuard
 from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.goal import Goal
 from jaxplore.dynamics.quadrotor import Quadrotor
-from jaxplore.localisation.volume_localiser import VolumeLocaliser
-from jaxplore.localisation.volume_odometry import VolumeOdometry
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.volume_file import MEMORY, VolumeFile, open_volume, read_volume
 from jaxplore.maps.generators.volumes import START, generate_volume
@@ -47,7 +45,6 @@ from jaxplore.tasks.robot import (
 from jaxplore.tasks.user_code import import_controller, import_rule
 from jaxplore.tasks.volume.settings import (
     GENERATED,
-    VolumeLocalisationSettings,
     VolumeSettings,
     make_volume_settings,
 )
@@ -89,10 +86,10 @@ def build_volume(settings: VolumeSettings) -> Experiment:
         sensors,
         _start(settings, world, robot, datum),
         perception=perception,
-        localiser=_localiser(settings.localisation),
         goal=None if goal is None else Goal(goal, **numbers),
         truths=(*equipment.truths, *([Targets(search)] if search else [])),
         datum=datum,
+        **equipment.scenario,
         **arguments(settings, VolumeScenario),
         **arguments(settings.rates, VolumeScenario),
     ).with_disturbances(equipment.disturbances)
@@ -118,18 +115,6 @@ def build_volume(settings: VolumeSettings) -> Experiment:
 def _guard() -> MotionGuard:
     """Build the guard of a quadrotor, which can make way to all sides."""
     return MotionGuard(check=StopCheck(WALL_MARGIN, evades=True))
-
-
-def _localiser(given: VolumeLocalisationSettings | None) -> VolumeLocaliser | None:
-    """Build what lets a robot find its pose; None for one that knows it."""
-    if given is None:
-        return None
-    # `arguments` returns angles in degrees, as settings have them.
-    numbers = {
-        "turn_per_distance": math.radians(given.turn_per_distance_degrees),
-        "turn_noise": math.radians(given.turn_noise_degrees),
-    }
-    return VolumeLocaliser(VolumeOdometry(**arguments(given, VolumeOdometry) | numbers))
 
 
 def build_world(settings: VolumeSettings) -> tuple[VoxelGrid, Datum]:

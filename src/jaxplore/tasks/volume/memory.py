@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from jaxplore.belief.rolling_map import BLOCK
 from jaxplore.belief.volume import COARSE
 from jaxplore.belief.volume_lattice import NODE
+from jaxplore.parts.localisation.settings import LOCALISATION_IN_VOLUME
 from jaxplore.tasks.memory import CONTROLS, Part, estimate_programs, estimate_record
 from jaxplore.tasks.volume.build import volume_size
 from jaxplore.tasks.volume.settings import VolumeSettings
@@ -37,7 +38,7 @@ def _volume(settings: VolumeSettings, limit: float) -> Iterator[Part]:
         f"{depth} x {height} x {width} voxels: generated.size, the file, resolution, fields.window",
         60.0 * voxels * (1.0 + share),
     )
-    if settings.localisation is not None:
+    if LOCALISATION_IN_VOLUME.find_section(settings) is not None:
         # Surfaces, and the map at the true poses.
         yield Part("localisation", "generated.size, the file, resolution", 30.0 * voxels)
     spacing = NODE * max(side, COARSE) / side

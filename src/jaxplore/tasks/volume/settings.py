@@ -9,7 +9,6 @@ from jaxplore._limits import LONGEST, MOST_BEAMS, MOST_NAMES
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.dynamics.goal import Goal
 from jaxplore.dynamics.quadrotor import Quadrotor
-from jaxplore.localisation.volume_odometry import VolumeOdometry
 from jaxplore.maps.files.volume_file import SUFFIXES, read_volume
 from jaxplore.maps.generators.volumes import generate_volume
 from jaxplore.parts.registry import with_capabilities
@@ -170,18 +169,6 @@ class VolumeFieldSettings(Section):
     unknown_factor: NonNegative = setting(VolumePerception, "unknown_factor")
 
 
-class VolumeLocalisationSettings(Section):
-    """Odometry with errors, and a robot that finds its pose by its scans: see
-    `jaxplore.localisation.VolumeOdometry` and `jaxplore.localisation.VolumeLocaliser`."""
-
-    distance_noise: NonNegative = setting(VolumeOdometry, "distance_noise")
-    turn_per_distance_degrees: NonNegative = setting(
-        VolumeOdometry, "turn_per_distance", in_degrees
-    )
-    turn_noise_degrees: NonNegative = setting(VolumeOdometry, "turn_noise", in_degrees)
-    scale: NonNegative = setting(VolumeOdometry, "scale")
-
-
 class VolumeControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.volume_explorer`, and
     `jaxplore.planning.volume_informative_mppi` for two-layer and parallel."""
@@ -258,8 +245,6 @@ class VolumeSettings(RunSettings):
         lidar: the lidar; none when absent.
         sensor_model: inverse sensor model, the update of a voxel by a measurement.
         fields: the information and guidance fields.
-        localisation: odometry with errors and how the robot finds its pose; it knows its pose when
-            absent.
         controller: MPPI of all architectures.
         targets: places to which rule-based explorers fly.
         rates: rates of control, sensing and fields.
@@ -287,7 +272,6 @@ class VolumeSettings(RunSettings):
     lidar: RingLidarSettings | None = None
     sensor_model: SensorModelSettings = SensorModelSettings()
     fields: VolumeFieldSettings = VolumeFieldSettings()
-    localisation: VolumeLocalisationSettings | None = None
     controller: VolumeControllerSettings = VolumeControllerSettings()
     targets: VolumeTargetSettings = VolumeTargetSettings()
     rates: VolumeRatesSettings = VolumeRatesSettings()
