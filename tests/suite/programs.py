@@ -23,9 +23,9 @@ LARGE = 400
 """Instructions of a large program."""
 LAYERS = {"make test": ("not long",), "make test-all": ("not long", "long")}
 """Layers that a command runs."""
-MOST_LARGE = {"make test": 285, "make test-all": 1245}
+MOST_LARGE = {"make test": 285, "make test-all": 1235}
 """Large programs that a command compiles. Raising a budget needs a reason in the commit."""
-MOST_LOOPS = {"make test": 17, "make test-all": 78}
+MOST_LOOPS = {"make test": 17, "make test-all": 77}
 """Closed loops among them."""
 MOST_IN_FILE = 26_000
 """Instructions of the large programs of a file without the mark `long`, closed loops apart."""
