@@ -77,7 +77,7 @@ def make_settings(entries: dict[str, Any]) -> RunSettings:
 
 def _check(kind: Kind, entries: Entries) -> RunSettings:
     """Check entries against a kind of task; a setting of another kind is told with that kind."""
-    for name, value in _unknown(kind.settings, entries):
+    for name, value in _list_unknown(kind.settings, entries):
         having = [each.name for each in KINDS.values() if find_field(each.settings, name)]
         if having:
             raise ValueError(
@@ -87,7 +87,7 @@ def _check(kind: Kind, entries: Entries) -> RunSettings:
     return kind.make_settings(dict(entries))
 
 
-def _unknown(
+def _list_unknown(
     section: type[BaseModel], entries: Entries, prefix: str = ""
 ) -> Iterator[tuple[str, Any]]:
     """Yield the dotted names and the values of entries that a section does not have."""
@@ -97,7 +97,7 @@ def _unknown(
         if field is None:
             yield f"{prefix}{name}", value
         elif inner is not None and isinstance(value, Mapping):
-            yield from _unknown(inner, value, f"{prefix}{name}.")
+            yield from _list_unknown(inner, value, f"{prefix}{name}.")
 
 
 def keep_read[Name](runs: Mapping[Name, Entries]) -> dict[Name, dict[str, Any]]:

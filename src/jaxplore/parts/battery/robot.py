@@ -129,9 +129,9 @@ class Battery(Part):
 
     def init(self, grid: OccupancyGrid | VoxelGrid) -> Charge:
         """Return a full battery; a robot on board begins at (0, 0)."""
-        return self.charged(self.capacity, jnp.zeros(len(grid.shape)))
+        return self.begin_charge(self.capacity, jnp.zeros(len(grid.shape)))
 
-    def charged(self, energy: Scalar, start: Float[Array, " D"]) -> Charge:
+    def begin_charge(self, energy: Scalar, start: Float[Array, " D"]) -> Charge:
         """Return the state with an energy [J] of a robot that begins at `start` [m]."""
         dock = start if self.dock is None else self.dock
         return Charge(energy, dock, jnp.array(False))

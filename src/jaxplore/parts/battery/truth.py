@@ -90,7 +90,7 @@ class TrueBattery(PartTruth):
 
     def init_part(self, part: Battery, pose: Float[Array, " P"]) -> Charge:
         """Return what the robot knows of its charge at the start."""
-        return part.charged(self.charge * part.capacity, pose[:-1])
+        return part.begin_charge(self.charge * part.capacity, pose[:-1])
 
     def init(self, pose: Float[Array, " P"]) -> BatteryState:
         """Return the charge at the start."""
