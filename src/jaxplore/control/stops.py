@@ -76,6 +76,11 @@ class StopState(NamedTuple):
         return cls(jnp.zeros((), jnp.int32), nothing, nothing, nothing, never)
 
 
+def is_scan_placed(stop: Count) -> Flag:
+    """Check whether nothing but scans speaks against a pose: they say there when they fit again."""
+    return (stop == GOOD) | (stop == MISFIT) | (stop == BLIND)
+
+
 def next_stop(state: StopState, found: Evidence, max_frozen: Scalar) -> StopState:
     """Return whether a robot is stopped in a period.
 

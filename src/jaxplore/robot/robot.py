@@ -21,7 +21,7 @@ from jaxplore.belief.tracks import beam_ends
 from jaxplore.belief.zones import UNKNOWN, entropy_proxy
 from jaxplore.control.guard import GuardState, ScanPoints
 from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS, is_jump, scan_misfit
-from jaxplore.control.stops import BLIND, GOOD, MISFIT
+from jaxplore.control.stops import is_scan_placed
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose, transform_points
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -229,7 +229,7 @@ class Robot(NamedTuple):
         pose, guard = measured.pose, measured.guard
         if guard is not None:
             # While only scans speak against a pose, they say there when they fit again.
-            is_trusted = (guard.stop == GOOD) | (guard.stop == MISFIT) | (guard.stop == BLIND)
+            is_trusted = is_scan_placed(guard.stop)
             pose = jnp.where(is_trusted, pose, jnp.nan)
         sight = Sight.at(pose)
         if guard is not None and own.points is not None:

@@ -16,7 +16,7 @@ from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.guard import GuardState, ScanPoints
-from jaxplore.control.stops import BLIND, GOOD, MISFIT
+from jaxplore.control.stops import is_scan_placed
 from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
 from jaxplore.geometry.level_motion import LevelPose, turn
 from jaxplore.localisation.volume_localiser import VolumeLocaliser, VolumeLocaliserState
@@ -160,7 +160,7 @@ class VolumeRobot(NamedTuple):
         is_taken = is_placed
         if guard is not None:
             # While only scans speak against a pose, they say there when they fit again.
-            is_trusted = (guard.stop == GOOD) | (guard.stop == MISFIT) | (guard.stop == BLIND)
+            is_trusted = is_scan_placed(guard.stop)
             is_placed = is_trusted & jnp.isfinite(measured.state).all()
             state = jnp.where(is_placed, measured.state, guard.expected)
         if guard is not None and own.points is not None and own.unfit is not None:
