@@ -9,6 +9,7 @@ import pytest
 
 from jaxplore import OccupancyGrid
 from jaxplore.maps import Datum, World, relative_world
+from jaxplore.parts.registry import CAPABILITIES
 from jaxplore.tasks.exploration.build import with_start
 from jaxplore.tasks.registry import build, make_settings
 
@@ -90,6 +91,39 @@ def test_a_start_that_is_chosen_or_proposed_is_that_of_the_map(ros_map) -> None:
         astray = {**entries, "goal": (datum.x + 2.55, datum.y + 1.05), "start": (x, y, 0.0)}
         with pytest.raises(ValueError, match=rf"goal is \[{datum.x + 2.55}.*a place in free"):
             build(make_settings(astray))
+
+
+SECTIONS = {
+    "variation": {},
+    "faults": {"scan_dropout": [1.0, 2.0]},
+    "people": {"number": 2},
+    "watch": {},
+    "anomalies": {},
+    "keep_out": {"areas": [[[0.4, 0.4], [2.2, 0.4], [2.2, 3.6], [0.4, 3.6]]]},
+    "detector": {"classes": ["box", "door"], "confusion": [[0.9, 0.1], [0.1, 0.9]]},
+    "chassis": {},
+    "battery": {},
+    "localisation": {},
+}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [row.name for row in CAPABILITIES if row.settings is not None and row.dimensions in (None, 2)],
+)
+def test_a_start_is_chosen_beside_every_capability(ros_map, name) -> None:
+    """With the localisation it failed: its part was built from less than a run has."""
+    entries = {"map": ros_map("map.yaml", (0.0, 0.0, 0.0), Datum()), **SMALL}
+    entries[name] = SECTIONS[name]
+    if name == "anomalies":
+        entries["watch"] = {}
+    given = with_start(entries)
+    build(make_settings(given))
+    x, y, _ = given["start"]
+    if name == "keep_out":
+        assert x > 2.2
+    assert 0.3 < x < 4.9
+    assert 0.3 < y < 3.7
 
 
 def test_everything_in_a_world_is_moved(tmp_path) -> None:

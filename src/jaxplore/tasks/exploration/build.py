@@ -70,7 +70,7 @@ def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment
 def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> ExplorationScenario:
     """Build the scenario that settings describe in a world that is given; see `build_in`."""
     sensors = build_sensors(settings)
-    around = surroundings(settings, world, robot)
+    around = surroundings(settings, world, float(robot.radius))
     equipment = build_parts(settings, around)
     if not world.is_placed:
         parts = tuple(part.unplaced() for part in equipment.parts)

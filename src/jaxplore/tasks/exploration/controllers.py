@@ -53,7 +53,7 @@ def build_controller(
     """
     robot, perception = scenario.robot, scenario.perception
     _check_errands(settings, scenario)
-    told = control_arguments(settings, surroundings(settings, world, robot))
+    told = control_arguments(settings, surroundings(settings, world, float(robot.radius)))
     options: dict[str, Any] = {
         "has_moving_obstacles": has_others(settings),
         "moving_obstacle_cost": cost_of_others(settings),

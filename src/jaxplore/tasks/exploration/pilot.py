@@ -160,7 +160,7 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
     )
     world = RunWorld(grid, (0.0, 0.0, 0.0), is_placed=False)
     key = jax.random.key(settings.seed)
-    told = control_arguments(settings, surroundings(settings, world, robot))
+    told = control_arguments(settings, surroundings(settings, world, float(robot.radius)))
     options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
     if node.mode == "follow":
         if settings.adaptive_horizon.rule is not None:

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.generators.office import office, start_pose
@@ -81,13 +80,13 @@ def _find_world(settings: Settings, radius: float) -> RunWorld:
     return _in_world(World.from_yaml(settings.map), settings)
 
 
-def surroundings(settings: Settings, world: RunWorld, robot: Dynamics) -> Surroundings:
-    """Return what the parts of a robot are built from."""
+def surroundings(settings: Settings, world: RunWorld, radius: float) -> Surroundings:
+    """Return what the parts of a robot with a radius [m] are built from."""
     return Surroundings(
         world.datum,
         world.source,
         settings.robot,
-        float(robot.radius),
+        radius,
         world.grid if world.is_placed else None,
         world.ground,
         settings.seed,
@@ -150,19 +149,24 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
         if terrain.resolution < settings.resolution * ENOUGH:
             terrain = terrain.resample(settings.resolution)
         grid, ground = terrain.grid, terrain.ground
-    if settings.start is None:
-        open_ground = grid if ground is None else with_closed(grid, ground)
-        around = Surroundings(datum, None, settings.robot, radius)
-        for part in build_parts(settings, around).parts:
-            closed = part.closed_cells(part.init(grid)) if part.closes_cells else None
-            if closed is not None:
-                open_ground = open_ground.with_solid(closed)
-        start = (*open_spot(open_ground, radius), 0.0)
-    else:
-        start = _local_pose(settings.start, datum)
     goal = None if settings.goal is None else _local(settings.goal, datum)
-    prior = _prior_of(grid, settings)
-    return RunWorld(grid, start, prior, goal=goal, ground=ground, datum=datum)
+    start = (0.0, 0.0, 0.0) if settings.start is None else _local_pose(settings.start, datum)
+    world = RunWorld(grid, start, _prior_of(grid, settings), goal=goal, ground=ground, datum=datum)
+    if settings.start is None:
+        spot = _find_start(settings, world, radius)
+        return world._replace(start=(*spot, 0.0))
+    return world
+
+
+def _find_start(settings: Settings, world: RunWorld, radius: float) -> tuple[float, float]:
+    """Return the position with the greatest clearance from walls, steep ground, and what the parts
+    of the robot close."""
+    grid = world.grid if world.ground is None else with_closed(world.grid, world.ground)
+    for part in build_parts(settings, surroundings(settings, world, radius)).parts:
+        closed = part.closed_cells(part.init(world.grid)) if part.closes_cells else None
+        if closed is not None:
+            grid = grid.with_solid(closed)
+    return open_spot(grid, radius)
 
 
 def _prior_of(grid: OccupancyGrid, settings: Settings) -> OccupancyGrid | None:
