@@ -1,15 +1,22 @@
 """Parts of a robot on board: areas and docks in the frame of its poses, and instruments."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
 from tests.onboard.conftest import LIDAR, ROBOT, blank, rooms
+from tests.onboard.test_replay import blank as blank_message
+from tests.onboard.test_replay import laser, odometry
 
 from jaxplore import Perception, explorer
 from jaxplore.onboard.options import Mode, PilotOptions
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.parts import Battery, KeepOut
+from jaxplore.ros import messages
+from jaxplore.ros.bag_writer import BagWriter
+from jaxplore.ros.replay import replay
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 pytestmark = pytest.mark.long
@@ -124,3 +131,38 @@ def test_measurements_that_no_part_takes_are_refused(make, name, measured, messa
     pilot.command(0.0)
     with pytest.raises(ValueError, match=message):
         pilot.add_look(name, measured)
+
+
+def charge(now, share) -> SimpleNamespace:
+    """Make a `sensor_msgs/BatteryState` of a time and a share."""
+    numbers = dict.fromkeys(
+        ("voltage", "temperature", "current", "charge", "capacity", "design_capacity"), np.nan
+    )
+    kinds = {f"power_supply_{name}": 0 for name in ("status", "health", "technology")}
+    message = blank_message(
+        **numbers, **kinds, percentage=share, present=True, location="", serial_number=""
+    )
+    message.cell_voltage = message.cell_temperature = np.zeros(0, np.float32)
+    messages.fill_header(message.header, now, "base_link")
+    return message
+
+
+def test_a_replay_reads_the_charge_that_was_recorded(make, make_robot, drive, tmp_path) -> None:
+    """The kind of its messages was not among those of bags, so no replay with a battery began."""
+    pilot, robot, began = make(), make_robot(), 1_700_000_000.0
+    with BagWriter(tmp_path / "drive") as writer:
+
+        def record(now, measured):
+            pilot.add_look("battery", FULL)
+            writer.write("/odom", "Odometry", odometry(now, measured), now)
+            writer.write("/battery_state", "BatteryState", charge(now, 1.0), now)
+            if measured.scan is not None:
+                writer.write("/scan", "LaserScan", laser(now, measured.scan, LIDAR), now)
+            return measured
+
+        drive(pilot, robot, 2.0, record, began=began)
+    again = make(is_obeyed=False)
+    found = replay(tmp_path / "drive", again, "/scan", "/odom")
+    assert found.num_malformed == 0
+    late = [each for time, each in zip(found.times, found.commands, strict=True) if time > 1.0]
+    assert {each.mode for each in late} == {Mode.DRIVING}

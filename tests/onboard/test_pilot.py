@@ -6,7 +6,7 @@ import pytest
 from tests.onboard.conftest import LIDAR, SHAPE, scenario_in
 
 from jaxplore import OccupancyGrid
-from jaxplore.onboard import steps
+from jaxplore.onboard import Drive, Motors, identify_motors, steps
 from jaxplore.onboard.options import Mode, PilotOptions
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.sensing.beams import Scan
@@ -378,3 +378,58 @@ def test_a_robot_drives_on_where_its_lidar_meets_nothing_but_not_where_it_must(
     blind = run(2.0, without_returns(0.0))
     assert blind[-1].reason == "the lidar met nothing yet"
     assert not blind[-1].twist.any()
+
+
+MOTORS = Motors(0.06, (0.3, 0.0, 0.25), (0.02, 0.0, 0.05))
+
+
+@pytest.fixture(scope="module")
+def errors(make_pilot, make_robot, drive):
+    """Return how far a slow base is from the velocities that are planned, without and with an
+    allowance for its motors, and the contacts of both."""
+    found = []
+    for motors in (None, MOTORS):
+        pilot, robot = make_pilot(latency=0.04, motors=motors), make_robot(motors=MOTORS)
+        planned, driven = [], []
+
+        def look(now, measured, pilot=pilot, robot=robot, planned=planned, driven=driven):
+            planned.append(pilot._twist.copy())
+            driven.append(robot.velocity.copy())
+            return measured
+
+        drive(pilot, robot, 20.0, look)
+        # A command has effect after the delay, three periods of 20 ms, and a period of its own.
+        errors = np.array(planned)[:-4] - np.array(driven)[4:]
+        found.append((np.sqrt(np.mean(errors[100:, [0, 2]] ** 2, axis=0)), robot.num_contacts))
+    return found
+
+
+def test_a_base_with_slow_motors_drives_as_planned_where_they_are_known(errors) -> None:
+    (unknown, _), (known, contacts) = errors
+    # A base that brakes is not told to reverse, so that it slows down later than planned.
+    assert (known < (0.8, 0.2) * unknown).all(), (unknown, known)
+    assert contacts == 0
+
+
+def test_the_motors_of_the_simulated_robot_are_found_in_its_drive(make_robot) -> None:
+    robot, rng = make_robot(start=(4.8, 2.4, 0.0), motors=MOTORS), np.random.default_rng(4)
+    times, commands, velocities = [], [], []
+    command, wanted = np.zeros(3), np.zeros(3)
+    for step in range(2000):
+        if step % 25 == 0:
+            # Circles of at most 0.3 m, and stops.
+            wanted = rng.integers(2) * np.array([rng.uniform(0.0, 0.3), 0.0, rng.uniform(1.0, 2.0)])
+        command = command + np.clip(wanted - command, (-0.01, 0, -0.03), (0.01, 0, 0.03))
+        measured = robot.step()
+        times.append(robot.time - robot.period)
+        commands.append(command)
+        velocities.append(measured.twist)
+        robot.set_velocity(command)
+    assert robot.num_contacts == 0
+    # What is measured at a time is sent an answer at once.
+    drive = Drive(*(np.array(each) for each in (times, commands, times, velocities)))
+    found = identify_motors(drive).motors
+    # Of the periods of 20 ms one passes before a velocity is measured.
+    assert found.delay == pytest.approx(0.06, abs=0.02)
+    np.testing.assert_allclose(found.lag[[0, 2]], MOTORS.lag[[0, 2]], rtol=0.1)
+    np.testing.assert_allclose(found.dead_zone[[0, 2]], (0.02, 0.05), atol=0.016)

@@ -13,6 +13,7 @@ from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import LONGEST_LATENCY
 from jaxplore._signals import stop_requests
 from jaxplore.cli._entries import assign, assign_all, option_entries
+from jaxplore.cli._identify import read_motors
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._show import free_name, reserve, show_starts
 from jaxplore.cli._terminal import say
@@ -219,7 +220,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
     The exit code is 130 if the user stopped it.
     """
     out, overwrite, animation = (options.pop(name) for name in ("out", "overwrite", "animation"))
-    names = ("delay", "drift", "mount", "turning", "command_type", "has_map")
+    names = ("delay", "drift", "mount", "turning", "command_type", "has_map", "motors")
     own = {name: options.pop(name) for name in names}
     namespace = options.pop("namespace")
     if namespace is not None:
@@ -256,6 +257,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
         drift=own["drift"],
         mount=(x, y, math.radians(degrees)),
         is_turning=own["turning"],
+        motors=None if own["motors"] is None else read_motors(own["motors"]),
     )
     with connect(robot.NODE, namespace) as link:
         say("Compiling, a few seconds ...", err=True)

@@ -108,6 +108,13 @@ def robot_options(command: Any) -> Any:
                 help="Standard deviation of the scale errors of the odometry.",
             ),
             click.option(
+                "--motors",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                help="Settings file with node.motors, as of jaxplore identify: the motors of the "
+                "base.  [default: they obey at once]",
+            ),
+            click.option(
                 "--mount",
                 type=float,
                 nargs=3,
@@ -201,6 +208,47 @@ def replay(bag: Path, **options: Any) -> None:
 
     with interrupt_on_end_signals():
         replay_bag(bag, options)
+
+
+@click.command()
+@click.argument("source", metavar="BAG_OR_TOPIC")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), metavar="FILE", help="Settings file to write."
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option(
+    "--command", metavar="TOPIC", help="Topic of the commands in a bag.  [default: the only]"
+)
+@click.option(
+    "--pose",
+    metavar="TOPIC",
+    help="Topic of the odometry.  [default: the only one of a bag; /odom]",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(min=10.0, max=3600.0),
+    default=120.0,
+    show_default=True,
+    help="Time to listen to a topic [s].",
+)
+@NAMESPACE
+def identify(source: str, **options: Any) -> None:
+    """Identify the motors of a base: delay, lag, dead zone and greatest speed of each axis.
+
+    Reads the velocity commands (Twist or TwistStamped) and the odometry of a drive, from a bag or,
+    given the topic of the commands, while somebody drives. Two minutes with starts, stops and turns
+    are enough. Prints each number with its standard error, and the error of predicted velocities
+    before and after:
+
+    \b
+      jaxplore identify bags/teleop -o motors.yaml
+      jaxplore identify /cmd_vel --seconds 120 -o motors.yaml
+      jaxplore node --settings motors.yaml
+    """
+    from jaxplore.cli import _identify
+
+    with interrupt_on_end_signals():
+        _identify.identify(source, **options)
 
 
 @click.command()

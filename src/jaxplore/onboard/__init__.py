@@ -2,6 +2,10 @@
 
 from jaxplore.onboard.following import Following as Following
 from jaxplore.onboard.goals import GoalChooser as GoalChooser
+from jaxplore.onboard.identification import Drive as Drive
+from jaxplore.onboard.identification import Identified as Identified
+from jaxplore.onboard.identification import identify_motors as identify_motors
+from jaxplore.onboard.motors import Motors as Motors
 from jaxplore.onboard.options import Command as Command
 from jaxplore.onboard.options import Mode as Mode
 from jaxplore.onboard.options import PilotOptions as PilotOptions

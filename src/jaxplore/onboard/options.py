@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxplore import _checks, _kinds
 from jaxplore.control.plausibility import MAX_AGE
+from jaxplore.onboard.motors import Motors
 
 
 class Mode(enum.StrEnum):
@@ -43,7 +44,7 @@ class PilotOptions:
     """Numbers of a pilot.
 
     Args:
-        latency: time between a command and its effect [s].
+        latency: time between a command and its effect [s], without the delay of the motors.
         max_age: greatest age of a scan or an odometry [s]; the robot brakes beyond it.
         max_frozen: greatest time in which equal scans or poses arrive although the robot should
             move [s].
@@ -61,6 +62,7 @@ class PilotOptions:
         lidar_y: position of the lidar to the left of it [m].
         is_obeyed: whether the robot executes the commands. In the replay of a drive it does not:
             every command starts from the measured state.
+        motors: motors of the base, for which commands allow; they obey at once when absent.
 
     Raises:
         ValueError: a time or a rate that is not positive, a negative latency or margin, a position
@@ -80,17 +82,25 @@ class PilotOptions:
     lidar_x: float = 0.0
     lidar_y: float = 0.0
     is_obeyed: bool = True
+    motors: Motors | None = None
 
     def __post_init__(self) -> None:
         _kinds.flag("is_obeyed", self.is_obeyed)
         _kinds.flag("returns", self.returns)
-        for name, value in dataclasses.asdict(self).items():
+        if self.motors is not None:
+            _kinds.instance("motors", self.motors, Motors)
+        for name, value in vars(self).items():
             if name in ("lidar_x", "lidar_y"):
                 _checks.number(name, value)
             elif name in ("latency", "margin"):
                 _checks.number(name, value, at_least=0.0)
-            elif name not in ("is_obeyed", "returns"):
+            elif name not in ("is_obeyed", "returns", "motors"):
                 _checks.number(name, value, above=0.0)
+
+    @property
+    def time_to_effect(self) -> float:
+        """Time between a command and its first effect, with the delay of the motors [s]."""
+        return self.latency + (0.0 if self.motors is None else self.motors.delay)
 
     def slower(self, twist: np.ndarray, seconds: float) -> np.ndarray:
         """Return the velocity (3,) of a ramp to zero after some time [s]; its direction stays."""

@@ -167,7 +167,7 @@ class Pilot:
         self._first_memory: Any = controller.init()
         self._memory: Any = self._first_memory
         self._expected = np.asarray(scenario.start)
-        self._sent = SentCommands(self.robot, self.options.latency)
+        self._sent = SentCommands(self.robot, self.options.time_to_effect)
         self._twist = np.zeros(3)
         self._clock = DriveClock(self.period)
         self._pose_stamps, self._scan_stamps = Stamps(self.period), Stamps(self.period)
@@ -311,8 +311,9 @@ class Pilot:
         passed = self._clock.advance(Instant.of(now))
         if self._clock.jump is not None:
             self._forget(self._clock.jump)
-        now = self._clock.time
+        now, before = self._clock.time, self._twist
         command = self._command(now, self.period if self._clock.is_standing else passed)
+        command = self._allow_for_motors(before, command)
         self.log.add_command(now, command.twist, str(command.mode), command.reason)
         return command
 
@@ -386,15 +387,28 @@ class Pilot:
         Args:
             now: as of `command`.
         """
-        time = self._clock.time_at(Instant.of(now))
+        time, before = self._clock.time_at(Instant.of(now)), self._twist
         if self._planned is not None and time is not None:
             began, twists = self._planned
             index = round((time - began) / self.period)
             # No scan checks these commands, so they may not be older than one.
             if 0 <= index < len(twists) and time - began <= self.options.max_age:
                 self._twist = twists[index]
-                return Command(self._twist, Mode.DRIVING, "a plan was late", None)
-        return self._ramp_down(self.time, self.period, Mode.BRAKING, "a plan was late")
+                late = Command(self._twist, Mode.DRIVING, "a plan was late", None)
+                return self._allow_for_motors(before, late)
+        braking = self._ramp_down(self.time, self.period, Mode.BRAKING, "a plan was late")
+        return self._allow_for_motors(before, braking)
+
+    def _allow_for_motors(self, before: np.ndarray, command: Command) -> Command:
+        """Return what is sent so that the base has a velocity (3,) at the end of the period.
+
+        `before` is the velocity that it was to have before. What is planned and expected is the
+        velocity, not what is sent for it.
+        """
+        motors = self.options.motors
+        if motors is None:
+            return command
+        return command._replace(twist=motors.command_for(before, command.twist, self.period))
 
     def update_belief(self, now: float | Instant) -> None:
         """Map the newest scan, and update the information and guidance fields if they are due.
@@ -560,7 +574,7 @@ class Pilot:
         """Return how old the newest scan, and that in the map, are when a command takes effect."""
         scan = now if self._scan is None else self._scan.time
         times = scan, self._known.time if math.isfinite(self._known.time) else now
-        newest, mapped = (max(0.0, now - each) + self.options.latency for each in times)
+        newest, mapped = (max(0.0, now - each) + self.options.time_to_effect for each in times)
         return np.float32(newest), np.float32(mapped)
 
     def _ramp_down(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:

@@ -16,6 +16,7 @@ from jaxplore.control.base import Info
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import compose
 from jaxplore.onboard.frames import EvenFrames
+from jaxplore.onboard.motors import Motors
 from jaxplore.onboard.odometry import extrapolate_pose
 from jaxplore.onboard.steps import initial
 from jaxplore.report.compute import Timing
@@ -69,6 +70,8 @@ class SimulatedRobot:
             once; 0 for a perfect odometry.
         watchdog: time without a command after which the robot brakes [s].
         mount: pose (x, y, yaw) of the lidar on the robot [m, m, rad].
+        motors: motors of the base; their delay comes on top of `delay`. They obey at once when
+            absent.
         is_turning: whether the lidar turns once between two scans. Each beam is then measured from
             where the lidar is when it points there, to within half a control period, and a scan is
             there when its last beam is.
@@ -93,6 +96,7 @@ class SimulatedRobot:
         watchdog: float = 0.25,
         mount: Sequence[float] = (0.0, 0.0, 0.0),
         is_turning: bool = False,
+        motors: Motors | None = None,
     ) -> None:
         _kinds.key("key", key)
         first = scenario.sensors[0]
@@ -103,7 +107,9 @@ class SimulatedRobot:
             )
         self.scenario, self._key = scenario.with_target_coverage(), key
         self.period = scenario.period
-        periods = round(_checks.number("delay", delay, at_least=0.0) / self.period)
+        self._motors = Motors() if motors is None else motors
+        delay = _checks.number("delay", delay, at_least=0.0) + self._motors.delay
+        periods = round(delay / self.period)
         self._pending = collections.deque([np.zeros(3)] * periods)
         self._watchdog = _checks.number("watchdog", watchdog, above=0.0)
         self.mount = _checks.pose("mount", mount)
@@ -118,7 +124,7 @@ class SimulatedRobot:
         self._pose = np.asarray(scenario.robot.pose(scenario.start), np.float64)
         # What leaves the robot is in the coordinates of the map.
         self._odometry = np.array(scenario.datum.to_map(self._pose))
-        self._twist = np.zeros(3)
+        self._twist = self._velocity = np.zeros(3)
         self._commanded, self._commanded_at = np.zeros(3), -math.inf
         self._records: list[Any] = []
         self.frames = EvenFrames()
@@ -183,7 +189,8 @@ class SimulatedRobot:
             self._commanded = np.zeros(3)
             self.watchdog_stops += 1
         self._pending.append(self._commanded)
-        wanted = jnp.asarray(self._pending.popleft(), jnp.float32)
+        driven = self._motors.respond(self._velocity, self._pending.popleft(), self.period)
+        wanted = jnp.asarray(driven, jnp.float32)
         self.state, record, pose, twist = _advance(scenario, self.state, self._moment(), wanted)
         self._records.append(jax.tree.map(np.asarray, record))
         self.num_contacts += bool(record.is_collision)
@@ -252,7 +259,7 @@ class SimulatedRobot:
         x, y, turn = pose - self._pose
         way = np.array([cos * x + sin * y, cos * y - sin * x, turn])
         self._odometry = extrapolate_pose(self._odometry, self._scale * way, 1.0)
-        self._pose, self._twist = pose, self._scale * twist
+        self._pose, self._velocity, self._twist = pose, twist, self._scale * twist
 
 
 @eqx.filter_jit

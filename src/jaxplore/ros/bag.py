@@ -27,6 +27,8 @@ KINDS = {
     "OccupancyGrid": "nav_msgs/msg/OccupancyGrid",
     "Path": "nav_msgs/msg/Path",
     "Twist": "geometry_msgs/msg/Twist",
+    "TwistStamped": "geometry_msgs/msg/TwistStamped",
+    "BatteryState": "sensor_msgs/msg/BatteryState",
     "TFMessage": "tf2_msgs/msg/TFMessage",
 }
 """Kinds of messages that are read and written, and their names in ROS."""

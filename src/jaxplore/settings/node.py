@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+from jaxplore.onboard.motors import Motors
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.report.drawing.rollout_costs import WEIGHT
@@ -56,6 +57,22 @@ class NodeContouring(ContouringNumbers):
     )
 
 
+Axes = NonNegative | tuple[NonNegative, NonNegative, NonNegative]
+"""A number for all axes vx, vy and omega, or one for each."""
+Bounds = Positive | tuple[Positive | None, Positive | None, Positive | None] | None
+
+
+class MotorSettings(Section):
+    """Motors of a base, as `jaxplore identify` finds them; see `jaxplore.onboard.Motors`."""
+
+    readers = DRIVING
+
+    delay: Latency = setting(Motors, "delay")
+    lag: Axes = setting(Motors, "lag")
+    dead_zone: Axes = setting(Motors, "dead_zone")
+    max_speed: Bounds = setting(Motors, "max_speed")
+
+
 class NodeSettings(Section):
     """The node that drives a robot, in the section `node` of a settings file.
 
@@ -99,6 +116,7 @@ class NodeSettings(Section):
         is_autostarted: whether the robot drives at once, or waits for `start`.
         give_up_after: time without scans, or without poses, after which the node ends [s]; it waits
             for ever when absent.
+        motors: motors of the base, for whose delay, lag and dead zone the commands allow.
         contouring: contouring control along the paths of the mode `follow`.
     """
 
@@ -139,6 +157,7 @@ class NodeSettings(Section):
     margin: NonNegative = setting(PilotOptions, "margin")
     done_after: Annotated[Positive, NOT_FOLLOWING] = setting(PilotOptions, "done_after")
     returns: Annotated[bool, EXPLORING] = setting(PilotOptions, "returns")
+    motors: MotorSettings = MotorSettings()
     contouring: Annotated[NodeContouring, FOLLOWING] = NodeContouring()
 
 

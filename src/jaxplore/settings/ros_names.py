@@ -42,10 +42,18 @@ def _namespace(value: str) -> str:
         raise PydanticCustomError("ros_name", NAMESPACE_RULE) from None
 
 
-def _topic(value: str) -> str:
+def check_topic(name: str, value: str) -> str:
+    """Return a topic."""
     if len(value) > MOST_CHARACTERS or not _TOPIC.fullmatch(value):
-        raise PydanticCustomError("ros_name", TOPIC_RULE)
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: {TOPIC_RULE}")
     return value
+
+
+def _topic(value: str) -> str:
+    try:
+        return check_topic("topic", value)
+    except ValueError:
+        raise PydanticCustomError("ros_name", TOPIC_RULE) from None
 
 
 Namespace = Annotated[str, AfterValidator(_namespace)]

@@ -16,6 +16,7 @@ from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.following import Following, blank_path
 from jaxplore.onboard.goals import GoalChooser
+from jaxplore.onboard.motors import Motors
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.parameters import set_parameters
@@ -161,7 +162,9 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
     world = RunWorld(grid, (0.0, 0.0, 0.0), is_placed=False)
     key = jax.random.key(settings.seed)
     told = control_arguments(settings, surroundings(settings, world, float(robot.radius)))
-    options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
+    motors = Motors(**arguments(node.motors, Motors))
+    numbers = arguments(node, PilotOptions)
+    options = PilotOptions(**numbers, is_obeyed=is_obeyed, motors=motors)
     if node.mode == "follow":
         if settings.adaptive_horizon.rule is not None:
             raise ValueError(
