@@ -22,10 +22,8 @@ def squared_length(*components: Scalar) -> Scalar:
 
 
 def length(*components: Scalar) -> Scalar:
-    """Return the length of a vector, with gradient 0 where it is zero.
-
-    The length of a vector with a NaN component is NaN: a diverged rollout is not at its goal.
-    """
+    """Return the length of a vector, with gradient 0 where it is zero. The length of a vector with
+    a NaN component is NaN: a diverged rollout is not at its goal."""
     squared = squared_length(*components)
     is_zero = squared < TINY
     # Guard the argument as well: the gradient of the square root at 0 is infinite, and `where`

@@ -41,9 +41,7 @@ def find_closed_cells(
     grid: OccupancyGrid, ground: Ground | None, window: Window | None = None
 ) -> GridMask:
     """Return the mask of the cells that are not known to be free, or that the ground blocks.
-
-    Without a ground the map is level. Without a window the mask is of the whole map.
-    """
+    Without a ground the map is level. Without a window the mask is of the whole map."""
     probability = grid.probability if window is None else window.read(grid.probability)
     closed = ~(probability < FREE_THRESHOLD)
     if ground is None:

@@ -126,12 +126,9 @@ def discs_clearance(
     heading: Scalar,
     footprint: Footprint,
 ) -> Scalar:
-    """Compute the distance from a robot's edge to the nearest of M discs [m].
-
-    Exact for a disc and for a rectangle, negative where they overlap; for another footprint, the
-    distance from the discs that cover it. Infinite without discs. Positions and heading are in the
-    world.
-    """
+    """Compute the distance from a robot's edge to the nearest of M discs [m]. Exact for a disc and
+    for a rectangle, negative where they overlap; for another footprint, the distance from the discs
+    that cover it. Infinite without discs. Positions and heading are in the world."""
     if isinstance(footprint, Rectangle):
         x, y = centres[:, 0] - position[0], centres[:, 1] - position[1]
         cos, sin = jnp.cos(heading), jnp.sin(heading)
@@ -149,10 +146,8 @@ def discs_clearance(
 
 
 def clearance_reach(footprint: Footprint | float, resolution: float, margin: float = 0.5) -> int:
-    """Return the number of cells to examine for a clearance that is exact up to `margin` [m].
-
-    A number as the footprint is the radius of a disc [m].
-    """
+    """Return the number of cells to examine for a clearance that is exact up to `margin` [m]. A
+    number as the footprint is the radius of a disc [m]."""
     if isinstance(footprint, Rectangle):
         ends = max(float(footprint.front), float(footprint.rear))
         extent = math.hypot(ends, 0.5 * float(footprint.width))

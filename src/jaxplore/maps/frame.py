@@ -71,10 +71,8 @@ class GridFrame(eqx.Module):
         return jnp.stack([cos * y - sin * x, cos * x + sin * y], axis=-1) / self.resolution
 
     def to_cell(self, points: Float[Array, "*N 2"]) -> Int[Array, "*N 2"]:
-        """Return the cell (row, column) that contains each world point (x, y) [m].
-
-        The cell may be off the map; that of a point that is not finite is.
-        """
+        """Return the cell (row, column) that contains each world point (x, y) [m]. The cell may be
+        off the map; that of a point that is not finite is."""
         grid = self.to_grid(points)
         # Converting NaN to an integer is undefined: it depends on the machine.
         return jnp.floor(jnp.where(jnp.isfinite(grid), grid, -1.0)).astype(jnp.int32)

@@ -111,10 +111,8 @@ def disc_mask(discs: Rows, frame: GridFrame, shape: tuple[int, int]) -> Mask:
 
 def cell_at(point: Vector, frame: GridFrame) -> tuple[int, int]:
     """Return the cell (row, column) that contains a world point (x, y) [m]; it may be off the map.
-
     It is `GridFrame.to_cell` in double precision. A point within rounding of an edge belongs to the
-    cell with the greater index.
-    """
+    cell with the greater index."""
     cell = np.floor(_to_grid(np.asarray(point, np.float64), frame) + TOLERANCE)
     return int(cell[0]), int(cell[1])
 

@@ -60,11 +60,9 @@ def reserve_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Ite
 
 @contextmanager
 def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a hidden folder that is moved to `path` at the end; missing parents are made.
-
-    After an exception, Ctrl-C included, the hidden folder is removed and `path` is unchanged. With
-    `overwrite`, a former run is replaced once the new one is complete.
-    """
+    """Yield a hidden folder that is moved to `path` at the end; missing parents are made. After an
+    exception, Ctrl-C included, the hidden folder is removed and `path` is unchanged. With
+    `overwrite`, a former run is replaced once the new one is complete."""
     target = _target(path)
     with ExitStack() as stack:
         folder = _reservations.get((threading.get_ident(), target))
@@ -90,11 +88,8 @@ def is_reserved(path: Path) -> bool:
 
 @contextmanager
 def lock_folder(folder: Path, what: str) -> Iterator[None]:
-    """Keep other processes from a folder to which files are added one by one.
-
-    It is made with its parents. If it is empty at the end, it is removed with those. `what` is its
-    name in messages.
-    """
+    """Keep other processes from a folder to which files are added one by one. It is made with its
+    parents. If it is empty at the end, it is removed with those. `what` is its name in messages."""
     with ExitStack() as stack:
         with in_one_line(what, folder):
             stack.callback(_remove_empty, _make_parents(folder))
@@ -122,9 +117,8 @@ def _reserve(target: Path, overwrite: bool) -> Iterator[Path]:
 @contextmanager
 def hidden_folder(target: Path, what: str) -> Iterator[Path]:
     """Yield the path of a hidden folder beside `target`, which other processes cannot write then.
-
-    It does not exist yet, and is removed at the end. `what` is the name of the folder in messages.
-    """
+    It does not exist yet, and is removed at the end. `what` is the name of the folder in
+    messages."""
     with ExitStack() as stack:
         try:
             hidden = stack.enter_context(reserve_hidden_folder(target))

@@ -101,10 +101,8 @@ class LogLines:
         self.offsets = {"front": 0.0, "rear": 0.0}
 
     def add(self, number: int, line: bytes) -> None:
-        """Take in the line of a number, counted from 1; lines of other kinds are skipped.
-
-        More scans, or more lines ODOM, than a log may have raise a `ValueError`.
-        """
+        """Take in the line of a number, counted from 1; lines of other kinds are skipped. More
+        scans, or more lines ODOM, than a log may have raise a `ValueError`."""
         kind = line[:40].split(None, 1)[0].upper() if line[:40].strip() else b""
         name = kind.decode("ascii", "replace")
         if name in KINDS:
@@ -200,10 +198,8 @@ def _long(number: int, family: str, line: bytes) -> Reading:
 
 
 def _split_line(line: bytes, at: int, spare: int = 20) -> tuple[list[bytes], int]:
-    """Return the words of a line, and the number of beams, which is the word at index `at`.
-
-    The line is split at most `beams + at + spare` times, and the rest is one word.
-    """
+    """Return the words of a line, and the number of beams, which is the word at index `at`. The
+    line is split at most `beams + at + spare` times, and the rest is one word."""
     head = line.split(None, at + 1)
     beams = _whole(head[at]) if len(head) > at else 0
     if not 1 <= beams <= MOST_BEAMS:
@@ -313,10 +309,8 @@ def select_alike(lines: LogLines, kind: str) -> list[Reading]:
 
 
 def find_poses(readings: list[Reading], lines: LogLines, kind: str) -> list[Reading]:
-    """Return scans with poses: by the lines ODOM where their own have none.
-
-    Between two of these lines the pose changes evenly with time.
-    """
+    """Return scans with poses: by the lines ODOM where their own have none. Between two of these
+    lines the pose changes evenly with time."""
     if not readings or readings[0].pose is not None:
         return readings
     rows = np.frombuffer(lines.odometry).reshape(-1, 5)

@@ -71,10 +71,8 @@ class BeamModel(NamedTuple):
         entry: Float[Array, "B N"],
         exit_: Float[Array, "B N"],
     ) -> Float[Array, "B N"]:
-        """Return the log-density of each range, of a beam that ends somewhere in each cell.
-
-        A beam enters a cell at `entry` [m], where it leaves the one before, and leaves at `exit_`.
-        """
+        """Return the log-density of each range, of a beam that ends somewhere in each cell. A beam
+        enters a cell at `entry` [m], where it leaves the one before, and leaves at `exit_`."""
         # A cell is entered where the one before is left, so each edge is evaluated once.
         edges = jnp.concatenate([entry[:, :1], exit_], axis=1)
         below = erf((ranges[:, None] - edges) / (math.sqrt(2.0) * self.noise))
@@ -95,11 +93,9 @@ class BeamModel(NamedTuple):
         is_return: Bool[Array, " B"],
         expected: Float[Array, " B"],
     ) -> Float[Array, " B"]:
-        """Return the log-density of each range if the expected wall is gone.
-
-        The beam then returns from somewhere behind it or not at all, with equal shares. On the map
-        the wall is at the distance `expected` [m].
-        """
+        """Return the log-density of each range if the expected wall is gone. The beam then returns
+        from somewhere behind it or not at all, with equal shares. On the map the wall is at the
+        distance `expected` [m]."""
         share = 0.5 * (1.0 - self.outliers)
         density = share * self._beyond(ranges, expected) + self.stray
         return jnp.log(jnp.where(is_return, density, share + 0.5 * self.outliers))

@@ -28,11 +28,9 @@ class Sweep(NamedTuple):
 
 
 def undistort_points(points: np.ndarray, times: np.ndarray, twist: np.ndarray) -> np.ndarray:
-    """Return points (N, 2) in the frame of the robot at the time of the first reading [m].
-
-    Each point is given in the frame of the robot at its own time. `times` are those after the first
-    reading [s]. The twist is (vx, vy, omega) in the frame of the robot.
-    """
+    """Return points (N, 2) in the frame of the robot at the time of the first reading [m]. Each
+    point is given in the frame of the robot at its own time. `times` are those after the first
+    reading [s]. The twist is (vx, vy, omega) in the frame of the robot."""
     turn = twist[2] * times
     # The direction of motion is that in the middle of the time, as everywhere else.
     cos, sin = np.cos(0.5 * turn), np.sin(0.5 * turn)

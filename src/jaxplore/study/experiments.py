@@ -13,9 +13,7 @@ def record_alone(
     experiment: Experiment, time_limit: float | None = None, *, num_trajectories: int = 0
 ) -> Recording:
     """Run one experiment until a limit of the simulated time [s], at most its own number of steps.
-
-    Each frame holds `num_trajectories` rollouts, for animations.
-    """
+    Each frame holds `num_trajectories` rollouts, for animations."""
     steps = _num_steps(experiment, time_limit)
     recording = record_run(
         experiment.controller,

@@ -103,10 +103,8 @@ def estimate_rollouts(
     hindrances: int = 0,
 ) -> Part:
     """Estimate the memory of rollouts, of a number of members and among a number of obstacles.
-
     `section` names the settings of the controller, and `progress` counts the controls beside those
-    of the robot.
-    """
+    of the robot."""
     samples, controls = given.num_samples, CONTROLS.get(robot.model, _MOST_CONTROLS) + progress
     # The scan over time keeps one step of the states, and all steps of the controls.
     each = 8.0 * samples * given.horizon * controls + 200.0 * samples * (1.0 + hindrances)

@@ -158,10 +158,8 @@ def places() -> dict[str, Entries]:
 
 
 def words() -> dict[str, Entries]:
-    """Return the names that stand for a kind or a part of it, and their default entries.
-
-    They are copies: the options of a command change entries where they are.
-    """
+    """Return the names that stand for a kind or a part of it, and their default entries. They are
+    copies: the options of a command change entries where they are."""
     known = {name: entries for kind in KINDS.values() for name, entries in kind.words.items()}
     return copy.deepcopy(known)
 
@@ -187,10 +185,8 @@ def place_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
 
 def at_place(entries: Entries, name: str, *, is_trusted: bool = False) -> dict[str, Any]:
     """Return the entries of a settings file for a place that the user names; see `place_entries`.
-
     They override those of a scenario, but not the place. A word stands for what they name, or for
-    its default.
-    """
+    its default."""
     known = words()
     if name in known:
         return {**known[name], **entries}
@@ -200,10 +196,8 @@ def at_place(entries: Entries, name: str, *, is_trusted: bool = False) -> dict[s
 
 
 def folder_name(entries: Entries) -> str:
-    """Return a name for folders from the place of a run.
-
-    A file that is just called `map` is named by its folder, as in a comparison on maps.
-    """
+    """Return a name for folders from the place of a run. A file that is just called `map` is named
+    by its folder, as in a comparison on maps."""
     kind = find_kind(entries)
     place = entries.get(kind.selector)
     words = [name for name, given in kind.places.items() if given == {kind.selector: place}]

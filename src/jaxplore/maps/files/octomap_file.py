@@ -32,10 +32,8 @@ _NODES = {"OcTree": 5, "ColorOcTree": 8}
 
 
 class Leaves(NamedTuple):
-    """Leaves of one size: their corners (x, y, z) and their side [voxels].
-
-    Those that are not free are occupied.
-    """
+    """Leaves of one size: their corners (x, y, z) and their side [voxels]. Those that are not free
+    are occupied."""
 
     corners: NDArray[np.int32]
     size: int

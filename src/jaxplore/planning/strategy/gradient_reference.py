@@ -128,10 +128,8 @@ def _rotate(x: Scalar, y: Scalar, yaw: Scalar) -> Position:
 
 
 def _is_clear(grid: OccupancyGrid, before: Position, after: Position) -> Flag:
-    """Return whether a step of at most half a cell keeps out of cells known to be occupied.
-
-    A diagonal step passes one of the two cells between. Both must be clear.
-    """
+    """Return whether a step of at most half a cell keeps out of cells known to be occupied. A
+    diagonal step passes one of the two cells between. Both must be clear."""
     (row, column), (next_row, next_column) = (
         grid.frame.to_cell(position) for position in (before, after)
     )

@@ -113,10 +113,8 @@ class Film:
 
 
 def check_film(path: str | PathLike[str], options: FilmOptions, *, name: str = "film") -> Path:
-    """Check before a long run whether a film can be written; return its path.
-
-    `name` is that of the path in messages.
-    """
+    """Check before a long run whether a film can be written; return its path. `name` is that of the
+    path in messages."""
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in (GIF, MP4):
@@ -233,10 +231,8 @@ def _even(picture: Image.Image) -> Image.Image:
 
 
 def add_caption(image: Image.Image, scale: float, left: str, right: str) -> Image.Image:
-    """Return a picture below a caption, such as its name and the speed of the film.
-
-    The left text is in bold letters. Either text may be empty.
-    """
+    """Return a picture below a caption, such as its name and the speed of the film. The left text
+    is in bold letters. Either text may be empty."""
     height = round(CAPTION * scale)
     whole = Image.new("RGB", (image.width, image.height + height), PAPER)
     whole.paste(image, (0, height))
@@ -255,10 +251,8 @@ def describe_speed(speed: float | None) -> str:
 
 
 def evenly_chosen[F](frames: Sequence[F], most: int) -> list[F]:
-    """Choose at most `most` evenly spaced frames, the first and the last included.
-
-    A single frame is the last one.
-    """
+    """Choose at most `most` evenly spaced frames, the first and the last included. A single frame
+    is the last one."""
     count = min(most, len(frames))
     # Counted from the end, so that a single frame is the last one.
     back = np.round(np.linspace(0, len(frames) - 1, count)).astype(int)[::-1]

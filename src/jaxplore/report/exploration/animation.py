@@ -84,10 +84,8 @@ def _draw(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
 
 
 def _ground(canvas: Canvas, frame: ExplorationFrame) -> np.ndarray:
-    """Draw the belief, unseen true walls, the information and untraversable ground.
-
-    One pixel per cell.
-    """
+    """Draw the belief, unseen true walls, the information and untraversable ground. One pixel per
+    cell."""
     drawn = np.ix_(*canvas.sample)
     level = canvas.map.window.crop(frame.probability, 128.0)
     is_hidden = canvas.any_in_blocks(canvas.map.walls & _is_unknown(level))
@@ -122,10 +120,8 @@ def _draw_robot(
     frame: ExplorationFrame,
     draw: ImageDraw.ImageDraw,
 ) -> None:
-    """Draw the scan, the trails, the rollouts, the plans and the robots, in this order.
-
-    Of several robots each has its colour.
-    """
+    """Draw the scan, the trails, the rollouts, the plans and the robots, in this order. Of several
+    robots each has its colour."""
     places, robots = recording.places(frame), recording.robots
     colours: list[tuple[Colour, Colour, Colour]] = [(TRAIL, PLAN, ROBOT)]
     if TEAM in recording.parts:

@@ -36,10 +36,8 @@ class Canvas:
     brightest: float
 
     def any_in_blocks(self, cells: np.ndarray) -> np.ndarray:
-        """Return for each drawn cell whether any cell that it stands for is set.
-
-        So a wall of one cell stays visible where several cells share a pixel.
-        """
+        """Return for each drawn cell whether any cell that it stands for is set. So a wall of one
+        cell stays visible where several cells share a pixel."""
         rows = np.logical_or.reduceat(cells, self.blocks[0], axis=0)
         return np.asarray(np.logical_or.reduceat(rows, self.blocks[1], axis=1))
 

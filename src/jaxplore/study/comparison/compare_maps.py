@@ -27,10 +27,8 @@ MOST_SHAPES = 4
 
 
 class EpisodeDone(NamedTuple):
-    """Progress after an episode, with the reason if it failed.
-
-    `num_done` counts the episodes of this call so far, `num_left` those left before this call.
-    """
+    """Progress after an episode, with the reason if it failed. `num_done` counts the episodes of
+    this call so far, `num_left` those left before this call."""
 
     episode: MapEpisode
     error: str | None
@@ -39,10 +37,8 @@ class EpisodeDone(NamedTuple):
 
 
 class RunCounts(NamedTuple):
-    """Numbers of runs of a comparison, and whether the user stopped it.
-
-    Former calls have run `num_former`, this call `num_done`, failed ones included.
-    """
+    """Numbers of runs of a comparison, and whether the user stopped it. Former calls have run
+    `num_former`, this call `num_done`, failed ones included."""
 
     num_done: int
     num_failed: int
@@ -52,11 +48,9 @@ class RunCounts(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class MapComparison:
-    """Result of a comparison on maps. `print` shows its tables, one for each map.
-
-    `failures` has a line for each reason of failed runs. `num_episodes` counts the planned runs.
-    `results` is the path of the table of all rows (Parquet), `page` that of the page (HTML).
-    """
+    """Result of a comparison on maps. `print` shows its tables, one for each map. `failures` has a
+    line for each reason of failed runs. `num_episodes` counts the planned runs. `results` is the
+    path of the table of all rows (Parquet), `page` that of the page (HTML)."""
 
     tables: tuple[MapTable, ...]
     failures: tuple[str, ...]
@@ -132,9 +126,7 @@ def _with_shapes(
     episodes: Sequence[MapEpisode], maps: Sequence[MapFile]
 ) -> tuple[tuple[MapEpisode, ...], dict[str, tuple[OccupancyGrid, Datum]]]:
     """Give the episodes common shapes of maps; return them, and the plans of the first variant.
-
-    Similar maps share a compiled program, so time and memory do not grow with their number.
-    """
+    Similar maps share a compiled program, so time and memory do not grow with their number."""
     variants = {each.explorer: each for each in reversed(episodes)}
     read: dict[str, dict[str, tuple[OccupancyGrid, Datum]]] = {}
     plans = {}

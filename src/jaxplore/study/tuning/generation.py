@@ -133,10 +133,8 @@ class Generations:
         return None
 
     def _reference(self, known: Mapping[int, dict[Where, Any]], so_far: Sequence[Where]) -> float:
-        """Compute the mean objective of the current settings over some episodes.
-
-        Differences from it do not depend on the difficulty of the episodes.
-        """
+        """Compute the mean objective of the current settings over some episodes. Differences from
+        it do not depend on the difficulty of the episodes."""
         trials = self._study.get_trials(deepcopy=False)
         # Only the first generation holds the current settings; later ones read them from the study.
         first = known.get(0) or read_episodes(trials[0].user_attrs)

@@ -63,11 +63,9 @@ class Optimizer(abc.ABC):
 
 
 class OptunaOptimizer(Optimizer):
-    """A sampler of Optuna, see `OPTUNA`, which supports choices and several objectives.
-
-    Source: Akiba, Sano, Yanase, Ohta, Koyama, "Optuna: a next-generation hyperparameter
-    optimization framework", KDD 2019.
-    """
+    """A sampler of Optuna, see `OPTUNA`, which supports choices and several objectives. Source:
+    Akiba, Sano, Yanase, Ohta, Koyama, "Optuna: a next-generation hyperparameter optimization
+    framework", KDD 2019."""
 
     def __init__(
         self, name: str, space: Space, population: int, seed: int, num_objectives: int
@@ -206,10 +204,8 @@ class EvosaxOptimizer(Optimizer):
 
 
 def _evosax_options(name: str) -> dict[str, Any]:
-    """Return step sizes for strategies that estimate a gradient.
-
-    The defaults of evosax suit thousands of weights and generations.
-    """
+    """Return step sizes for strategies that estimate a gradient. The defaults of evosax suit
+    thousands of weights and generations."""
     if name not in ("open-es", "pgpe"):
         return {}
     optax = import_optional("optax", "tuning")

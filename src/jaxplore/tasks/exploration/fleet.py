@@ -22,10 +22,8 @@ def has_others(settings: Settings) -> bool:
 
 
 def cost_of_others(settings: Settings) -> MovingObstacleCost | None:
-    """Return the cost of nearness to moving obstacles in a fleet; None without other robots.
-
-    The others tell where they drive, so there is no Gaussian around where they may be.
-    """
+    """Return the cost of nearness to moving obstacles in a fleet; None without other robots. The
+    others tell where they drive, so there is no Gaussian around where they may be."""
     if not has_others(settings):
         return None
     return MovingObstacleCost(nearness=None, clearance=2.0 * settings.robot.radius + ROOM)

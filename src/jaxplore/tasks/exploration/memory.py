@@ -23,10 +23,8 @@ _MEMBERS = 4
 
 
 class MapSize(NamedTuple):
-    """Rows and columns of the map of a run, and the side of a cell [m].
-
-    `pixels` is the number of pixels of its image; 0 without one.
-    """
+    """Rows and columns of the map of a run, and the side of a cell [m]. `pixels` is the number of
+    pixels of its image; 0 without one."""
 
     rows: float
     columns: float
