@@ -204,13 +204,11 @@ class CarLattice(Locomotion):
 
 
 def in_passage(is_open: Bool[Array, "N H W"], fits: Bool[Array, "N H W"]) -> Bool[Array, "N H W"]:
-    """Return the poses in narrow passages, where a car fits, but not with its margin.
+    """Return the poses in narrow passages, where a car fits, but not with its margin (`is_open`).
 
-    `is_open` are the poses where it fits with its margin, `fits` those where it fits without it. A
-    pose is in a passage if the car fits ahead and behind as well, and if neither pose beside it is
-    open and leads on. Along a wall there is such a pose, so a wall costs the same as without
-    passages. The poses next to those in a passage, by a node and a heading, count as well, because
-    the car turns where a passage begins.
+    A pose is in a passage if the car fits ahead and behind as well, and if neither pose beside it
+    is open and leads on. Along a wall there is such a pose, so a wall costs the same as without
+    passages. Poses next to those in a passage count as well: the car turns where a passage begins.
     """
     height, width = is_open.shape[1:]
     angles = jnp.asarray(HEADINGS, jnp.float32)

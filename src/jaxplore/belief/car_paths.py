@@ -338,13 +338,9 @@ def without_shortcuts(
     radius: float,
     reversal_cost: Scalar,
 ) -> DrivenPath:
-    """Return a path without a cost where its channel would lower that of the pose it begins at.
-
-    After a reversal a path may come back beside its beginning, turned by what the car must turn
-    first. To stray there costs less than the way does, and a car that looks for the least cost
-    would stand at its beginning. `radius` is the turning radius [m], and `direction` the direction
-    of travel at the pose; see `with_channel`.
-    """
+    """Return a path without a cost where its channel (`with_channel`) would lower that of the pose
+    it begins at. After a reversal a path may come back beside its beginning. To stray there costs
+    less than the way does, and a car that looks for the least cost would stand at its beginning."""
     turn = jnp.mod(path.poses[:, 2] - pose[2] + jnp.pi, 2.0 * jnp.pi) - jnp.pi
     away = ((path.poses[:, :2] - pose[:2]) ** 2).sum(axis=1) + (radius * turn) ** 2
     costs = path.costs + jnp.where(path.directions != direction, reversal_cost, 0.0)
@@ -360,15 +356,16 @@ def with_channel(
     radius: float,
     reversal_cost: Scalar,
 ) -> Float[Array, "D N H W"]:
-    """Lower a cost-to-go beside a path to that of straying from the path and driving along it.
+    """Lower a cost-to-go beside a path (one axis of points) to that of straying from it and driving
+    along.
 
     At a pose x of the lattice, at most `CHANNEL_WIDTH` nodes beside a point p of the path, the cost
     becomes at most
 
         U(p) + STRAYING (|x - p|^2 + (R turn)^2)
 
-    with R the turning radius (`radius` is in node spacings), plus `reversal_cost` [m] if the
-    direction of travel is not that at p. `path` has its points on one axis.
+    with R the turning radius [nodes], plus `reversal_cost` [m] if the direction of travel is not
+    that at p.
     """
     spacing = frame.resolution
     # A car without a path has infinite costs, and may have a pose that is not finite.

@@ -72,12 +72,9 @@ class CarRoadmap(Roadmap):
         *,
         is_from_source: bool = False,
     ) -> Float[Array, "D N H W"]:
-        """Return the cost-to-go by direction of travel and heading of the body [m].
-
-        Forwards is direction 0, and backwards is direction 1 of a car that can reverse. `source` is
-        the cost of the poses where paths may end [m]; infinite elsewhere. If `is_from_source`
-        (static), paths lead from the source instead of to it.
-        """
+        """Return the cost-to-go by direction of travel, forwards first, and heading of the body
+        [m]. `source` is the cost of the poses where paths may end, or begin if `is_from_source`
+        (static); infinite elsewhere [m]."""
         # A path from the source is a path to it that is driven in the other direction of travel.
         first = HALF if is_from_source and not self.can_reverse else 0
         bodies = (0, HALF) if self.can_reverse else (first,)

@@ -83,13 +83,8 @@ class CertaintyField(eqx.Module):
     def __call__(
         self, grid: OccupancyGrid, clearance: ScalarField, position: Position
     ) -> ScalarField:
-        """Return the field around a position; off it the value is that of its edge.
-
-        Args:
-            grid: the robot's map.
-            clearance: distance to the nearest cell that is not known to be free [m].
-            position: position (x, y) of the robot [m].
-        """
+        """Return the field around the robot's position; off it the value is that of its edge.
+        `clearance` is the distance to the nearest cell that is not known to be free [m]."""
         blank = self.blank()
         number = blank.values.shape[0]
         half = number // 2

@@ -24,9 +24,10 @@ def add_dwell(
 ) -> Float[Array, "rows columns"]:
     """Return the dwell time at each node after the robot has stayed at a pose [s].
 
-        dwell <- dwell exp(-elapsed / memory) + elapsed exp(-(|node - position| / r)^2 / 2)
+        dwell <- dwell exp(-elapsed / memory) + elapsed exp(-(|node - position| / DWELL_RADIUS)^2 /
+        2)
 
-    with r = `DWELL_RADIUS` and times in seconds. A pose that is not finite adds nothing.
+    A pose that is not finite adds nothing.
     """
     height, width = dwell.shape
     window = Window.around(pose[:2], REACH * DWELL_RADIUS, frame, (height, width))

@@ -85,12 +85,9 @@ def exploration_field(
 def information_sources(
     worth: Float[Array, "*nodes"], decay_length: Scalar, min_information: Scalar
 ) -> Float[Array, "*nodes"]:
-    """Return the cost of each place as the end of a path, `-decay_length ln W` [m].
-
-    W is `worth`, the discounted information. Places where it is below `min_information`, in the
-    same unit, get the additional cost `LEFTOVER_DETOUR`. The cost is infinite where W is below
-    `LEFTOVER_SHARE min_information`.
-    """
+    """Return the cost of each place as the end of a path, `-decay_length ln W` [m], with W its
+    `worth`, the discounted information. Where W is below `min_information` it gets the additional
+    cost `LEFTOVER_DETOUR`; below `LEFTOVER_SHARE` of that it is infinite."""
     # The bound keeps the logarithm finite where there is no information.
     reward = decay_length * jnp.log(jnp.maximum(worth, 1e-6))
     detour = jnp.where(worth < min_information, LEFTOVER_DETOUR, 0.0)
@@ -107,12 +104,10 @@ def leads_to_goal(field: GuidanceField, position: Position) -> Flag:
 
 
 def leads_to_information(cost: Any) -> Any:
-    """Return whether a cost-to-go leads to a place with at least `min_information`.
-
-    `cost` is the cost-to-go at the robot, a number or an array [m]. If it leads to no such place,
-    the robot has nothing left to learn: the places with little information, and the goal, have a
-    detour of their own, and without any place the cost is infinite or `outside`.
-    """
+    """Return whether a cost-to-go at the robot [m] leads to a place with at least
+    `min_information`. Otherwise there is nothing left to learn: places with little information, and
+    the goal, have a detour of their own, and without any place the cost is infinite or
+    `outside`."""
     return cost < 0.5 * LEFTOVER_DETOUR
 
 

@@ -11,12 +11,8 @@ LEAST_GAIN = 1e-3
 
 
 class Gain(NamedTuple):
-    """The last progress of an exploration.
-
-    Args:
-        share: share of the map that was known at that time.
-        since: time since then [s].
-    """
+    """The last progress of an exploration: the share of the map that was known, and the time since
+    [s]."""
 
     share: Scalar
     since: Scalar

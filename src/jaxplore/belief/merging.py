@@ -37,13 +37,10 @@ def merge_maps(
     now: GridValues,
     is_new: GridMask,
 ) -> GridValues:
-    """Return the map of the prior and of all contributions.
-
-    `prior` and `now`, the map before, are probabilities. Contributions are sums of log-odds
-    changes, and the clamp of the sensor model applies to their total. Only cells `is_new` have a
-    contribution that may not be in the map. All others keep their probability to the bit, as do
-    those that change by less than `SAME`: what is derived from them stays as it is.
-    """
+    """Return the map of the prior and of all contributions, from probabilities `prior` and `now`,
+    the map before. Contributions are sums of log-odds changes, and the clamp of the sensor model
+    applies to their total. Cells that are not `is_new`, and those that change by less than `SAME`,
+    keep their probability to the bit: what is derived from them stays as it is."""
     total = model.log_odds(prior) + jnp.sum(contributions, axis=0)
     merged = jax.nn.sigmoid(jnp.clip(total, model.minimum, model.maximum))
     return jnp.where(is_new & (jnp.abs(merged - now) > SAME), merged, now)

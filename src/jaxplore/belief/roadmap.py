@@ -56,12 +56,9 @@ def narrow_passages(
     corners: Bool[Array, "H W"] | None,
     begins: Bool[Array, "H W"] | None = None,
 ) -> Bool[Array, "H W"]:
-    """Return the narrow nodes through which shortest paths from other nodes lead.
-
-    Paths may also begin at the narrow nodes `begins`. `value` is the cost-to-go of `geodesic`, and
-    `half` half the cost of a step of one node spacing. `corners` are those that a diagonal step may
-    pass; all when None.
-    """
+    """Return the narrow nodes through which shortest paths from other nodes, or from the narrow
+    nodes `begins`, lead. `value` is the cost-to-go of `geodesic`, and `half` half the cost of a
+    step of one node spacing. `corners` may be passed by diagonal steps; all when None."""
     costs = []
     for step in NEIGHBOURS:
         length = DIAGONAL if all(step) else 1.0
@@ -219,13 +216,10 @@ class Locomotion(eqx.Module):
         price: Price = double_where_tight,
         factor: Float[Array, "H W"] | None = None,
     ) -> Roadmap:
-        """Build the lattice of places in which the robot fits, with one node per block of cells.
-
-        A node is open if the robot fits at any cell of its block, of `stride` cells on a side;
-        static. `clearance` is the distance to the nearest blocked cell, and `required` that which
-        the robot's discs need [m]. `price`, the cost of a metre by tightness, keeps paths in the
-        middle of passages. `factor` multiplies the cost of each node; 1 when None.
-        """
+        """Build the lattice of places in which the robot fits, with one node per block of cells. A
+        node is open if the robot fits at any cell of its block, of `stride` cells on a side;
+        static. `price`, the cost of a metre by tightness, keeps paths in the middle of passages.
+        `factor` multiplies the cost of each node; 1 when None."""
 
     @abc.abstractmethod
     def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> GuidanceField:
@@ -233,13 +227,9 @@ class Locomotion(eqx.Module):
 
 
 class TurnsOnTheSpot(Locomotion):
-    """Locomotion of a robot whose paths do not depend on its heading.
-
-    Args:
-        narrow: clearance from which paths lead through passages that are too narrow for the
-            required clearance, at `NARROW_PRICE` [m]; no such paths when absent. It must be at
-            least `narrowest`.
-    """
+    """Locomotion of a robot whose paths do not depend on its heading. Below the required clearance
+    paths lead through passages at `NARROW_PRICE` down to `narrow` [m], at least `narrowest`; not at
+    all when None."""
 
     narrow: Scalar | None = None
 
@@ -388,12 +378,9 @@ def point_sources(
     is_open: Bool[Array, "H W"],
     corners: Bool[Array, "H W"] | None = None,
 ) -> Float[Array, "H W"]:
-    """Return the sources of `geodesic` for paths that end at a point (x, y) [m].
-
-    These are the open nodes nearest to the point, within a node spacing, with their distance to the
-    point [m]. All other nodes are infinite. Nodes on the other side of a wall do not count, see
-    `nearest_open`. `corners` are those that a diagonal step may pass; all when None.
-    """
+    """Return the sources of `geodesic` for paths that end at a point (x, y) [m]: the open nodes
+    within a node spacing, on its side of walls (`nearest_open`), with their distance to it [m]; all
+    others are infinite."""
     distance = jnp.where(is_open, frame.distances(point, is_open.shape), jnp.inf)
     return nearest_open(distance, distance, frame.resolution, corners)
 

@@ -110,12 +110,9 @@ class RollingMap(eqx.Module):
     def with_left(
         self, shape: tuple[int, int, int], worth: Float[Array, "d h w"], block: int
     ) -> Float[Array, "Db Hb Wb"]:
-        """Return the greatest information of each block, with that of the window's in their places.
-
-        `shape` is that of the window, and `block` the number of voxels on a side of a block; both
-        static. `worth` is the information of each node of the window where the robot fits, 0
-        elsewhere [nat m^3].
-        """
+        """Return the greatest information of each block [nat m^3], with that of the window in its
+        places. `shape` is that of the window, and `block` the voxels on a side of a block; both
+        static. `worth` is 0 where the robot does not fit."""
         padded = jnp.pad(worth, [(0, -size % BLOCK) for size in worth.shape])
         depth, height, width = (size // BLOCK for size in padded.shape)
         split = padded.reshape(depth, BLOCK, height, BLOCK, width, BLOCK)
@@ -180,12 +177,9 @@ class RollingMap(eqx.Module):
 def check_extents(
     extents: Sequence[float], whole: tuple[int, int, int], side: float, block: int, keep: float
 ) -> None:
-    """Check that a window is so large that it need not move again at once.
-
-    `extents` (x, y, z) and the side of a voxel are in metres, and the volume has `whole` voxels
-    along z, y and x. The window moves by blocks of `block` voxels on a side, when the robot is at
-    the distance `keep` [m] from a face inside the volume.
-    """
+    """Check that a window of `extents` (x, y, z) [m] is so large that it need not move again at
+    once. It moves by blocks of `block` voxels, when the robot is at the distance `keep` [m] from a
+    face inside the volume of `whole` voxels along z, y and x."""
     # The robot is at most half a block from the middle, and moves on before the next fields.
     least = 2.0 * (keep + (0.5 * block + 1.0) * side + 0.5)
     for extent, size in zip(reversed(extents), whole, strict=True):

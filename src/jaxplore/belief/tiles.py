@@ -44,12 +44,8 @@ class Tiling(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """What is static of a cost-to-go and its parts.
-
-    Args:
-        outside: values off the map.
-        margins: margins that a sweep reads.
-    """
+    """What is static of a cost-to-go and its parts: values off the map, and margins that a sweep
+    reads."""
 
     outside: tuple[float | bool, ...]
     margins: tuple[int, ...]

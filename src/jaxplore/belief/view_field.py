@@ -12,10 +12,8 @@ from jaxplore.maps.volume_field import VolumeField
 
 
 class ViewField(eqx.Module):
-    """Information of a scan by position and heading, read in O(1).
-
-    It is the expected gain of each voxel in view times its volume, so that it does not depend on
-    the resolution.
+    """Information of a scan by position and heading, read in O(1): the expected gain of each voxel
+    in view times its volume, so that it does not depend on the resolution.
 
     Args:
         values: (A, D, H, W) information for A equally spaced headings at the nodes [nat m^3].
@@ -81,12 +79,9 @@ def time_near(
     elapsed: Scalar,
     memory: Scalar,
 ) -> Float[Array, "A D H W"]:
-    """Return the time near each node with each sector in view, with the last one added [s].
-
-    `distance` is that of each node from the robot [m], and `in_view` the share of each sector in
-    view at each heading. `elapsed` is the time since `before`, and `memory` the time constant with
-    which the time is forgotten [s].
-    """
+    """Return the time near each node with each sector in view [s], with the last one added.
+    `in_view` is the share of each sector in view at each heading, and `memory` the time constant
+    with which the time is forgotten [s]."""
     near = jnp.clip(2.0 - distance / NEAR, 0.0, 1.0)
     number = len(in_view)
     angle = jnp.where(jnp.isfinite(heading), heading, 0.0)

@@ -32,11 +32,10 @@ def open_view(
 ) -> LiveView:
     """Open a live view and print its link.
 
-    Its button records to files beside the run folder, which is written at the end of the run. The
-    name of the folder is the title of the page's panel. Without a port it takes a free one, and
-    without a host the address of this machine. `began` is the start of a robot's drive since the
-    epoch [s]; None for a simulation, which has a speed and can be started again. Another option of
-    a view without --view, or a view that cannot be opened, raises a `ValueError`.
+    Its button records to files beside the run folder, whose name is the title of the page's panel.
+    Without a port it takes a free one, without a host the address of this machine. `began` is the
+    start of a robot's drive since the epoch [s]; None for a simulation, which has a speed and can
+    be started again. An option of a view without --view raises a `ValueError`.
     """
     if not view:
         name, value = ("--host", host) if view_port is None else ("--view-port", view_port)
@@ -73,12 +72,9 @@ def run_viewed(
     *,
     overwrite: bool,
 ) -> None:
-    """Simulate runs until the page of a view asks for no further one.
-
-    A run that ends or is stopped is saved, each one in a folder of its own. One that is started
-    again before its end is not. The first run is recorded, if there is a recorder. A recording that
-    could not be written raises a `ValueError` when the run is saved.
-    """
+    """Simulate runs until the page of a view asks for no further one. A run that ends or is stopped
+    is saved in a folder of its own, one that is started again is not. The first one is recorded, if
+    there is a recorder; a recording that failed raises a `ValueError` when the run is saved."""
     changed: dict[str, float | list[float]] = {}
     shown: list[Monitor] = monitors_of(view)
     monitors = shown if recorder is None else [*shown, recorder]

@@ -235,12 +235,9 @@ def evaluate_samples(
     mesh: Mesh | None,
     steps: Count | None = None,
 ) -> Float[Array, " K"]:
-    """Roll out sampled control sequences and return their costs (K,).
-
-    `initial` is the state (nx,) that all rollouts start from, or (nx, K) one for each. The model
-    step `dt` is in s. `mesh` are the devices that share the samples; None for one device. `steps`
-    is the number of steps to simulate, see `rollout_costs`; all when absent.
-    """
+    """Roll out sampled control sequences and return their costs, from one state (nx,) or from one
+    each, (nx, K). `mesh` are the devices that share the samples; None for one device. `steps` of
+    the rollouts are simulated, see `rollout_costs`; all when None."""
     everything = (dynamics, cost, dt, belief, sampled.state.applied, sampled.outcomes, steps)
     # `shard_map` takes arrays only: everything else is closed over.
     arrays, static = eqx.partition(everything, eqx.is_array)

@@ -69,10 +69,10 @@ def is_jump(
 def scan_misfit(belief: Belief, sensor: Beams, scan: Scan, pose: Pose) -> Scalar:
     """Return the share of the returns of a scan that contradict the map, as it was before the scan.
 
-    A return contradicts the map if it is farther than `MISFIT_DISTANCE` from every cell that is
-    occupied or unknown: it hits something where the map knows free space. So a scan of unknown
-    space contradicts nothing. The share is 0 with fewer than `MIN_RETURNS` returns, at a pose of
-    the sensor that is not finite, and on a known ground, whose hills return beams as well.
+    A return does if it is farther than `MISFIT_DISTANCE` from every cell that is occupied or
+    unknown. So a scan of unknown space contradicts nothing. The share is 0 with fewer than
+    `MIN_RETURNS` returns, at a pose of the sensor that is not finite, and on a known ground, whose
+    hills return beams.
     """
     if belief.ground is not None:
         return jnp.zeros(())

@@ -299,11 +299,8 @@ class _RolloutTask(NamedTuple):
 
 
 def _lanes(num_samples: int) -> int:
-    """Return the length of the sample vectors: `num_samples`, or one cache line more.
-
-    The vectors of all state components lie side by side in memory. Vectors of a multiple of 1 KiB
-    compete for the same few sets of the first-level cache, which was measured to be three times
-    slower. One more cache line avoids it.
-    """
+    """Return the length of the sample vectors: `num_samples`, or one cache line more. The vectors
+    of all state components lie side by side. Those of a multiple of 1 KiB compete for the same few
+    sets of the first-level cache, which was measured to be three times slower."""
     line = 16
     return num_samples + line if -(-num_samples // line) % line == 0 else num_samples

@@ -85,12 +85,10 @@ def manoeuvre_table(radius: float) -> np.ndarray:
 
 
 def manoeuvre(radius: float, x: Scalar, y: Scalar, turn: Scalar, speed: Scalar) -> Scalar:
-    """Return the cost of the last manoeuvre of a car [m]; see `manoeuvre_table`.
-
-    Beyond the table it is that at its edge. `radius` is the turning radius [m]; static. The car is
-    `x` ahead of the goal and `y` on its left [m], and its heading is `turn` from that at the goal
-    [rad]. Its forward speed [m/s] tells the direction of travel.
-    """
+    """Return the cost of the last manoeuvre of a car [m]; see `manoeuvre_table`. Beyond the table
+    it is that at its edge. `radius` is the turning radius [m]; static. The car is `x` ahead of the
+    goal and `y` on its left [m], and its heading is `turn` from that at the goal [rad]. Its forward
+    speed [m/s] tells the direction of travel."""
     table = jnp.asarray(manoeuvre_table(radius).ravel())
     # A pose that is not finite has no index.
     x, y, turn = (jnp.where(jnp.isfinite(each), each, 0.0) for each in (x, y, turn))
@@ -124,12 +122,8 @@ def _read(table: Any, x: Any, y: Any, turn: Any, first: Any, xp: Any) -> Any:
 
 
 def with_overrun(state: State, distance: Scalar) -> Scalar:
-    """Return a distance to go, plus twice that by which the robot would overrun its end [m].
-
-        d + 2 e(d)
-
-    So a robot brakes in time, also where its braking distance is longer than the horizon.
-    """
+    """Return a distance to go, plus twice the `overrun` of its end [m]: so a robot brakes in time,
+    also where its braking distance is longer than the horizon."""
     return distance + OVERRUN * overrun(state, distance)
 
 

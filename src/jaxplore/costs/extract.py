@@ -38,12 +38,7 @@ def speed(state: State) -> Scalar:
 
 
 def component(name: str) -> Extractor:
-    """Return the extractor of the state component called `name`.
-
-    Raises:
-        ValueError: a name that is empty or not a string. When traced, a name that the model does
-            not have.
-    """
+    """Return the extractor of the state component called `name`, which the model must have."""
     if not isinstance(name, str) or not name:
         raise ValueError(f"name is {name!r}; accepted: the name of a state component")
     return _Component(name)
@@ -56,11 +51,7 @@ def from_physical(extractor: Extractor) -> Extractor:
 
 
 def from_virtual(extractor: Extractor) -> Extractor:
-    """Apply an extractor to the virtual part of an `Augmented` state.
-
-    Raises:
-        ValueError: when traced, a model without parts.
-    """
+    """Apply an extractor to the virtual part of an `Augmented` state, which the model must have."""
     return _Part(extractor, is_physical=False)
 
 

@@ -20,14 +20,8 @@ class Integrator(eqx.Module):
     def __call__(
         self, derivative: Derivative, state: StateVector, control: ControlVector, dt: Scalar
     ) -> StateVector:
-        """Return the state (nx,) after `dt` seconds.
-
-        Args:
-            derivative: function f(state, control) that returns dx/dt (nx,).
-            state: state (nx,) at the start of the step.
-            control: control (nu,), constant during the step.
-            dt: length of the step [s].
-        """
+        """Return the state after `dt` seconds of a constant control; `derivative` is f(state,
+        control) = dx/dt."""
 
 
 class Euler(Integrator):

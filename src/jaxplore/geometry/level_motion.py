@@ -36,12 +36,10 @@ def between(pose: LevelPose, other: LevelPose) -> LevelPose:
 def propagate_covariance(
     pose: LevelPose, motion: LevelPose, covariance: LevelMatrix, added: LevelMatrix
 ) -> LevelMatrix:
-    """Return the covariance of a pose after an uncertain motion, to first order.
+    """Return the covariance of a pose after an uncertain motion (`added`, Q, in its frame), to
+    first order:
 
         F P F' + G Q G',   F = d compose / d pose,   G = d compose / d motion
-
-    P is the covariance of the pose, in the world. Q is `added`, that of the motion, in the frame of
-    the pose.
     """
     ahead, left, _ = jnp.unstack(turn(pose[3]) @ motion[:3])
     by_pose = jnp.eye(4).at[0, 3].set(-left).at[1, 3].set(ahead)

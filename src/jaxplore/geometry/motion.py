@@ -34,12 +34,10 @@ def between(pose: Pose, other: Pose) -> Pose:
 
 
 def propagate_covariance(pose: Pose, increment: Pose, covariance: Matrix, added: Matrix) -> Matrix:
-    """Return the covariance of a pose after an uncertain motion, to first order.
+    """Return the covariance of a pose after an uncertain motion (`added`, Q, in its frame), to
+    first order:
 
         F P F' + G Q G',   F = d compose / d pose,   G = d compose / d increment
-
-    P is the covariance of the pose, in the world. Q is `added`, that of the motion, in the frame of
-    the pose.
     """
     sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
     dx, dy, _ = jnp.unstack(increment)

@@ -40,12 +40,10 @@ class RayCells(NamedTuple):
 
 
 def traverse(start: Float[Array, "2"], angle: Scalar, length: float) -> RayCells:
-    """Return the cells that a ray crosses, starting with the cell that holds its start.
-
-    The start is (row, column), and the angle from the column axis towards the row axis. All cells
-    entered within `length` [cells] (static) are returned. Some farther cells may follow; their
-    `entry` is greater than the length.
-    """
+    """Return the cells that a ray crosses, starting with that of its start (row, column), at an
+    angle from the column axis towards the row axis. All cells entered within `length` [cells]
+    (static) are returned. Some farther ones may follow; their `entry` is greater than the
+    length."""
     direction = jnp.stack([jnp.sin(angle), jnp.cos(angle)])
     base = jnp.floor(start)
     # Work relative to the first cell, so that distances stay exact far from the map's corner.
@@ -88,12 +86,9 @@ def max_cells(length: float) -> int:
 
 
 class RayOffsets(NamedTuple):
-    """Cells crossed by rays from a cell's centre, nearest first, as offsets from that cell.
-
-    `offset` (D, N, n) is along the n axes of the grid, (row, column) in the plane. `entry` and
-    `exit` (D, N) are the distances at which each cell is entered and left [cells]. Short rays are
-    padded with offset 0 and infinite distances.
-    """
+    """Cells crossed by rays from a cell's centre, nearest first, as offsets (D, N, n) along the n
+    axes of the grid, with the distances (D, N) at which each is entered and left [cells]. Short
+    rays are padded with offset 0 and infinite distances."""
 
     offset: np.ndarray
     entry: np.ndarray
@@ -112,12 +107,9 @@ def ray_offsets(angles: np.ndarray, length: float) -> RayOffsets:
 
 
 def direction_offsets(directions: np.ndarray, length: float) -> RayOffsets:
-    """Tabulate the cells that rays from a cell's centre leave within a length [cells].
-
-    Rays in one direction cross the same offsets from every cell, so a whole map can be processed by
-    shifting it. The table is computed in double precision, once per sensor and resolution.
-    Directions (n, D) are unit vectors along the axes of a grid of n dimensions.
-    """
+    """Tabulate the cells that rays from a cell's centre leave within a length [cells], in unit
+    directions (n, D). They are the same from every cell, so a whole map can be processed by
+    shifting it. Computed in double precision, once per sensor and resolution."""
     # From a cell's centre, the k-th line of a family is k + 1/2 cells away along its axis.
     lines = np.arange(math.ceil(length) + 2) + 0.5
     dimensions = len(directions)
@@ -143,15 +135,9 @@ def direction_offsets(directions: np.ndarray, length: float) -> RayOffsets:
 
 
 class VoxelStep(NamedTuple):
-    """The voxel that each of R rays is in.
-
-    Args:
-        voxel: (3, R) voxel, along the axes of the grid.
-        entry: (R,) distance from the start at which the ray enters it [voxels].
-        exit: (R,) distance at which it leaves it [voxels].
-        is_crossed: (R,) False if the ray only touches an edge or a corner of the voxel, and where
-            the ray has ended.
-    """
+    """The voxel that each of R rays is in, along the axes of the grid, and the distances at which
+    it is entered and left [voxels]. It is not crossed if the ray only touches an edge or a corner
+    of it, and where the ray has ended."""
 
     voxel: Int[Array, "3 R"]
     entry: Float[Array, " R"]

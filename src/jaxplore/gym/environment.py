@@ -69,11 +69,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
 
     @property
     def state(self) -> EnvironmentState:
-        """The state of the environment.
-
-        Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
-        """
+        """The state of the environment; `gymnasium.error.ResetNeeded` before the first reset."""
         return require_state(self._state)
 
     @property
@@ -98,13 +94,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
 
     def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
         """Carry out an action; return the observation, the reward, the two end flags and the info.
-
-        After the end of an episode the state no longer changes.
-
-        Raises:
-            ValueError: an action of another shape, or that is not finite.
-            gymnasium.error.ResetNeeded: before the first reset.
-        """
+        After the end of an episode the state no longer changes."""
         given = check_action(action, self.action_space.shape or ())
         observation, reward, ends, info = self._advance(
             self.state, given, self.environment.steps_per_action

@@ -87,11 +87,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
 
     @property
     def states(self) -> EnvironmentState:
-        """States of the environments, with a leading axis of environments.
-
-        Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
-        """
+        """States of the environments, with a leading axis of environments."""
         return require_state(self._states)
 
     def reset(
@@ -100,17 +96,9 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observed, dict[str, Any]]:
-        """Begin an episode in each environment; return the observations and the info.
-
-        Args:
-            seed: seed of the first environment, from which the others count up; or one for each.
-            options: "scenario" selects one of several scenarios for all environments; "reset_mask"
-                (N,) selects the environments to reset, by default all.
-
-        Raises:
-            ValueError: a wrong number of seeds, a scenario number out of range, a mask of a wrong
-                shape.
-        """
+        """Begin an episode in each environment; return the observations and the info. The seed is
+        that of the first environment, from which the others count up, or one for each. Of the
+        options "scenario" selects one of several for all, and "reset_mask" (N,) those to reset."""
         seeds = self._seeds(seed)
         chosen = options or {}
         mask = np.asarray(chosen.get("reset_mask", np.ones(self.num_envs, bool)))
@@ -128,14 +116,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         self, actions: Any
     ) -> tuple[Observed, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Carry out an action (N, A) in each environment; reset those whose episode has ended.
-
-        Returns:
-            The observations, rewards, terminated and truncated flags (N,), and the info.
-
-        Raises:
-            ValueError: actions of a wrong shape, or that are not finite.
-            gymnasium.error.ResetNeeded: before the first reset.
-        """
+        Return observations, rewards, terminated and truncated flags (N,), and the info."""
         given = check_action(actions, self.action_space.shape or ())
         ended = self._has_ended
         if self._states is not None and ended.any():

@@ -95,12 +95,12 @@ def contributions(
     cell_size: float | None,
     in_range: Bool[Array, " n"] | None = None,
 ) -> Float[Array, " n"]:
-    """Return the contribution of each cell [nat], v_k of this module's formula.
+    """Return the contribution of each cell [nat], v_k of this module's formula, the nearest first.
 
-    The nearest cell comes first. The cells begin and end at the distances `edges`. `cell_size` is
-    the side of a grid cell in the unit of `edges`; None if the cells are not grid cells. If
-    `no_return`, a beam that meets nothing counts as passing every cell. Cells that are not
-    `in_range` pad the far end of the array, and a reading there is discarded.
+    The cells begin and end at the distances `edges`. `cell_size` is the side of a grid cell in the
+    unit of `edges`; None if the cells are not grid cells. If `no_return`, a beam that meets nothing
+    counts as passing every cell. Cells that are not `in_range` pad the far end, and a reading there
+    is discarded.
     """
     passed = jnp.cumprod(1.0 - probability)
     hit = probability * jnp.concatenate([jnp.ones(1), passed[:-1]])

@@ -114,12 +114,9 @@ class BeamTable(eqx.Module):
         margin: tuple[tuple[int, int], tuple[int, int]] = ((0, 0), (0, 0)),
         interest: GridValues | None = None,
     ) -> CellMaps:
-        """Precompute the channels that beams read from a map or a part of it.
-
-        `is_inside` are the cells that are on the map; None for all. `margin` is the number of
-        absorbing rows before and after, and of columns before and after. `interest` is the
-        additional information of observing each cell that a beam passes [nat].
-        """
+        """Precompute the channels that beams read from a map or a part of it, with absorbing rows
+        and columns as `margin` before and after. `interest` is the additional information of
+        observing each cell that a beam passes [nat]."""
         probability = settle(probability, sensor)
         if self.is_simple:
             channels = [1.0 - probability, expected_gain(probability, sensor)]
@@ -269,11 +266,9 @@ def window_maps(
     prior: Scalar | None = None,
 ) -> tuple[CellMaps, Array]:
     """Return the channels around a lattice of nodes, and the position of its first node in them.
-
-    `first` is the cell (row, column) of that node; it may be off the map. `shape` are the rows and
-    columns of nodes; static. `prior` is the probability of the cells that were never measured; that
-    of the grid when None.
-    """
+    `first` is its cell, which may be off the map, and `shape` the rows and columns of nodes;
+    static. `prior` is the probability of cells that were never measured; that of the grid when
+    None."""
     reach = table.reach
     rows, columns = (
         first[axis] - reach + jnp.arange((shape[axis] - 1) * table.stride + 2 * reach + 1)

@@ -40,12 +40,9 @@ UNROLL = 4
 
 
 def is_faster(length: float, stride: int, spacing: float | None) -> bool:
-    """Return whether doubling is faster than following every cell of the beams.
-
-    The length of a beam and the stride between nodes are in cells; doubling evaluates every cell
-    whatever the stride. `spacing` is the angle between beams [rad]; None if near cells are not
-    shared among beams.
-    """
+    """Return whether doubling is faster than following every cell of beams of a length [cells]: it
+    evaluates every cell whatever the `stride` between nodes. `spacing` is the angle between beams;
+    None if near cells are not shared among beams."""
     # Nearer than 1 / spacing, where beams are less than a cell apart, doubling saves nothing.
     near = 0.0 if spacing is None else 1.0 / spacing
     return length - near > WORTHWHILE * stride * stride

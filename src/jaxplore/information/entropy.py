@@ -109,16 +109,7 @@ class EntropyFan(eqx.Module):
     def __call__(
         self, grid: OccupancyGrid, position: Float[Array, "*N 2"], heading: Float[Array, "*N"]
     ) -> Float[Array, "*N"]:
-        """Return the gain of one pose, or of each of N poses [nat].
-
-        Args:
-            grid: occupancy grid of the robot.
-            position: world position (x, y), (2,) or (N, 2) [m].
-            heading: world yaw, () or (N,) [rad].
-
-        Raises:
-            ValueError: other shapes.
-        """
+        """Return the gain of one pose, (2,) and (), or of each of N poses [nat]."""
         entropy = grid.entropy
 
         def one(position: Position, heading: Scalar) -> Scalar:

@@ -62,17 +62,8 @@ class InformationField(eqx.Module):
     def __call__(
         self, position: Position, heading: Scalar, field_of_view: float | None = None
     ) -> Scalar:
-        """Return the expected information of a scan [nat].
-
-        Args:
-            position: position (x, y) of the sensor [m].
-            heading: centre of the field of view [rad].
-            field_of_view: field of view, in (0, 2 pi] [rad]; static. By default the sensor's own.
-
-        Raises:
-            ValueError: a field of view outside (0, 2 pi]; something else than one position and one
-                heading.
-        """
+        """Return the expected information [nat] of a scan in a field of view in (0, 2 pi] (static),
+        by default the sensor's own, around the heading."""
         position = _checks.position("position", position)
         _checks.of_shape("heading", heading, ())
         view = self._view(field_of_view)

@@ -83,16 +83,8 @@ class PoseInformation(eqx.Module):
     def __call__(
         self, grid: OccupancyGrid, position: Float[Array, "*N 2"], heading: Float[Array, "*N"]
     ) -> Float[Array, "*N"]:
-        """Return the information of a scan from one pose, or from each of N poses [nat].
-
-        Args:
-            grid: occupancy grid of the robot.
-            position: world position (x, y), (2,) or (N, 2) [m].
-            heading: world yaw, () or (N,) [rad].
-
-        Raises:
-            ValueError: other shapes.
-        """
+        """Return the information of a scan from one pose, (2,) and (), or from each of N poses
+        [nat]."""
 
         def one(position: Position, heading: Scalar) -> Scalar:
             return self.view(grid, position, heading).value.sum()

@@ -39,12 +39,10 @@ def find_touched_tiles(
 
 
 def group_shape(tiles: tuple[int, int], reach: int, stride: int) -> tuple[int, int]:
-    """Return the rows and columns of the tiles that are evaluated with the same maps.
-
-    A scan changes cells up to the reach [cells] of its beams from the robot, and the information of
-    nodes up to the reach of theirs from these cells. `tiles` are the rows and columns of tiles of
-    the lattice, and `stride` the number of cells between nodes.
-    """
+    """Return the rows and columns of the tiles that are evaluated with the same maps. A scan
+    changes cells up to the reach [cells] of its beams from the robot, and the information of nodes
+    up to the reach of theirs from these. `tiles` are those of the lattice, `stride` cells a
+    node."""
     most = 1 + -(-4 * reach // (TILE * stride))
     # A last tile is moved inwards, into the one before it, so a group has at least two.
     rows, columns = (min(count, max(2, most)) for count in tiles)

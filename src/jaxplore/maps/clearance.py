@@ -56,15 +56,10 @@ def update_clearance(
     blocked: Callable[[Window], GridMask],
     max_distance: float,
 ) -> ScalarField:
-    """Return the `clearance_field` of a map that has changed in a window only.
-
-    Distances change within the bound around the window, and depend on the cells within the bound
-    around these. The cost is that of a map as large as the window and twice the bound on each side.
-    The result equals that of `clearance_field` to the bit.
-
-    The bound is `max_distance` [m]; static. `blocked` returns the mask of the cells of a part of
-    the map that may not be entered.
-    """
+    """Return the `clearance_field` of a map that has changed in a window only, to the bit.
+    Distances change within the bound `max_distance` [m] (static) around the window, and depend on
+    the cells within the bound around these. So the cost is that of a map as large as the window and
+    twice the bound on each side. `blocked` returns the mask of a part of the map."""
     reach = _reach(max_distance, field.frame.resolution)
     inner, outer = window.grow(reach), window.grow(2 * reach)
     values = _distances(blocked(outer), field.frame.resolution, max_distance)

@@ -21,12 +21,9 @@ def footprint_clearance(
     footprint: Footprint,
     reach: int,
 ) -> Scalar:
-    """Compute the distance from a robot's edge to the nearest solid square cell [m].
-
-    Exact for a disc and for a rectangle; for another footprint, the distance from the discs that
-    cover it. See `disc_clearance` and `rectangle_clearance`. The pose is in the world. `reach` is
-    static; see `clearance_reach`.
-    """
+    """Compute the distance from a robot's edge to the nearest solid square cell [m]. Exact for a
+    disc and for a rectangle; for another footprint, the distance from the discs that cover it.
+    `reach` is static; see `clearance_reach`."""
     if isinstance(footprint, Rectangle):
         in_grid, turn = frame.to_grid(position), heading - frame.origin[2]
         return rectangle_clearance(solid, in_grid, turn, footprint, frame.resolution, reach)
@@ -40,12 +37,9 @@ def footprint_clearance(
 def disc_clearance(
     solid: GridMask, grid: Array, radius: Scalar, resolution: float, reach: int
 ) -> Scalar:
-    """Compute the distance from a disc's edge to the nearest solid square cell [m].
-
-    Exact for cells within `reach` cells (static) of the disc's centre, and limited to that
-    distance. Everything off the map is solid. Negative where they overlap. The centre `grid` is
-    (row, column) in cells, the radius in metres.
-    """
+    """Compute the distance from a disc's edge to the nearest solid square cell [m], negative where
+    they overlap. Exact for cells within `reach` cells (static) of the centre `grid` (row, column),
+    and limited to that distance. Everything off the map is solid."""
     rows, columns, is_solid = _around(solid, grid, reach)
 
     def to_interval(cells: Array, centre: Array) -> Array:

@@ -16,12 +16,9 @@ if TYPE_CHECKING:
 
 
 class Stencil(NamedTuple):
-    """The four nodes around a point and their bilinear weights.
-
-    `nodes` are indices into the flattened lattice, `weight` adds up to 1, and `is_inside` tells
-    whether the point is on the lattice. They are tuples of scalars instead of vectors of four:
-    mapped over thousands of points, unpacking a vector would be a transposition.
-    """
+    """The four nodes around a point as indices into the flattened lattice, their bilinear weights,
+    and whether it is on the lattice. They are tuples of scalars instead of vectors of four: mapped
+    over thousands of points, unpacking a vector would be a transposition."""
 
     nodes: tuple[Count, Count, Count, Count]
     weight: tuple[Scalar, Scalar, Scalar, Scalar]

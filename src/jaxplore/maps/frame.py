@@ -100,12 +100,10 @@ class GridFrame(eqx.Module):
     def coarsen(
         self, stride: int, node: float, first: Int[Array, "2"] | None = None
     ) -> "GridFrame":
-        """Return the frame of a coarser lattice with one node every `stride` cells.
-
-        Node (i, j), the centre of cell (i, j) of the new frame, is at the grid coordinates
-        `first + (i * stride + node, j * stride + node)` of this frame. `first` is the cell at which
-        the lattice begins, by default (0, 0). A lattice with a `first` has no `map_shape`.
-        """
+        """Return the frame of a coarser lattice with one node every `stride` cells. Node (i, j),
+        the centre of cell (i, j) of the new frame, is at the grid coordinates `first + (i * stride
+        + node, j * stride + node)` of this frame. `first` is (0, 0) when None; with it the lattice
+        has no `map_shape`."""
         # The new frame's origin is the outer corner of its first cell, half a stride before node 0.
         corner = jnp.full(2, node - stride / 2.0)
         if first is not None:

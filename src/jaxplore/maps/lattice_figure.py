@@ -25,12 +25,8 @@ def lattice_figure(
     colours: str = "viridis",
     limits: tuple[float, float] | None = None,
 ) -> "Figure":
-    """Draw values (H, W) at their place in the world, with a colour bar.
-
-    Values that are not finite are left blank. Of padded arrays only the part on the map is drawn.
-    The colour bar has a label, with the unit, and ends at `limits`, by default those of the data.
-    `colours` is a colour map of Matplotlib.
-    """
+    """Draw values (H, W) at their place in the world, with a colour bar that ends at `limits`, by
+    default those of the data. Values that are not finite and the padding are left out."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.transforms import Affine2D

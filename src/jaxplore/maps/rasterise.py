@@ -91,13 +91,9 @@ def rectangle_mask(
 
 
 def disc_mask(discs: Rows, frame: GridFrame, shape: tuple[int, int]) -> Mask:
-    """Return the cells (H, W) whose centre is in a disc, `|c - (x, y)| <= radius`.
-
-    A disc that contains no cell centre marks the cell of its own centre.
-
-    Discs (N, 3) are (x, y, radius) in the world [m]; N may be 0. A row that is not three finite
-    numbers, or a radius that is not positive, raises a `ValueError`.
-    """
+    """Return the cells (H, W) whose centre is in a disc, `|c - (x, y)| <= radius`. A disc that
+    contains no cell centre marks the cell of its own centre. Discs (N, 3) are (x, y, radius) in the
+    world [m], checked."""
     mask = np.zeros(shape, bool)
     accepted = "(N, 3) finite numbers (x, y, radius), radius > 0"
     for row in _rows("discs", discs, 3, accepted, lambda row: bool(row[2] > 0)):

@@ -16,13 +16,9 @@ from jaxplore.report._numbers import finite, numbers
 
 @dataclasses.dataclass(frozen=True)
 class Timing:
-    """Wall-clock times of a run [s].
-
-    `compile_seconds` last until the loop is ready for its first step; they are near 0 if it was
-    compiled before. `loop_seconds` are spent in the chunks of the loop, without compilation, and
-    `loop_steps` are the steps in those chunks. `step_seconds` (N,) are those of single steps,
-    spread over the run and timed one at a time.
-    """
+    """Wall-clock times of a run [s]: until the loop is ready for its first step (near 0 if it was
+    compiled before), those spent in chunks of the loop and the steps in them, and (N,) those of
+    single steps, spread over the run and timed one at a time."""
 
     compile_seconds: float
     loop_seconds: float

@@ -37,15 +37,9 @@ def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
 
 @contextmanager
 def reserve_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[None]:
-    """Check whether a run folder can be written, and keep other processes from it in the body.
-
-    A test folder is made beside the later one and removed again, with any missing parents. In the
-    body this thread can write the folder by `run_folder`.
-
-    Raises:
-        ValueError: an empty path, an existing file or folder (unless it is a former run and
-            `overwrite`), a parent that cannot be written to, a folder that another process writes.
-    """
+    """Check whether a run folder can be written, and keep other processes from it in the body. A
+    test folder is made beside the later one and removed again, with any missing parents. In the
+    body this thread can write the folder by `run_folder`. Else a `ValueError` is raised."""
     target = _target(path)
     with _reserve(target, overwrite) as hidden:
         with in_one_line("run folder", target):
@@ -194,11 +188,8 @@ def _make(folder: Path, target: Path) -> None:
 @contextmanager
 def whole_file(target: Path, what: str) -> Iterator[Path]:
     """Yield an empty hidden file that is moved to `target` at the end, also safe in a power cut.
-
     After an exception, Ctrl-C included, `target` is unchanged. The file is locked, so it must be
-    written in place. Its folder must exist. `what` names in messages the object that the file
-    belongs to.
-    """
+    written in place. `what` names in messages the object that the file belongs to."""
     # The file is made in the folder of its target, because only there the rename is one operation.
     with in_one_line(what, target), open_hidden_file(target) as temporary:
         yield temporary

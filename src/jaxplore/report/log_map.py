@@ -36,12 +36,9 @@ TRACKS = (
 
 
 def log_metrics(mapped: LogMap) -> dict[str, Any]:
-    """Return the metrics of a mapped log, for a JSON file.
-
-    ATE and RPE are those of `absolute_error` and `relative_error`, the latter over 5 m; None for a
-    way that is shorter. IoU and double walls are those of `map_agreement` with the map of the true
-    poses, after the alignment of the trajectories. All are None where the log has no true poses.
-    """
+    """Return the metrics of a mapped log, for a JSON file: ATE, RPE over 5 m (None for a shorter
+    way), and IoU and double walls by `map_agreement` with the map of the true poses, after the
+    alignment of the trajectories. All are None where the log has no true poses."""
     poses = mapped.estimated if mapped.true is None else mapped.true
     walls = None
     if mapped.true is not None and mapped.reference is not None:

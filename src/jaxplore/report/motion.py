@@ -11,7 +11,7 @@ def command_jerk(controls: ArrayLike, half_range: np.ndarray, period: float) -> 
 
         (u_{t+1} - 2 u_t + u_{t-1}) / period^2, in halves of the range between their bounds
 
-    The period between commands is in seconds. None for fewer than three commands.
+    None for fewer than three commands.
     """
     commands = np.asarray(controls, np.float64)
     if len(commands) < 3:

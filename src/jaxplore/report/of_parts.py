@@ -16,11 +16,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class PartsData(RunData):
-    """A run, and what it shows of the parts of its robots.
-
-    Args:
-        parts: what the run shows of each part of the robots, by its name.
-    """
+    """A run, and what it shows of each part of the robots, by the name of the part."""
 
     parts: Mapping[str, PartReport] = dataclasses.field(default_factory=dict)
 
@@ -58,11 +54,8 @@ class PartsData(RunData):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PartsMetrics(Metrics):
-    """Metrics of a run, those of the parts of its robots among them.
-
-    Args:
-        parts: metrics of each part, by its name; in `metrics.json` each is an entry of its own.
-    """
+    """Metrics of a run, those of the parts of its robots among them by their names; in
+    `metrics.json` each is an entry of its own."""
 
     parts: Mapping[str, PartMetrics]
 

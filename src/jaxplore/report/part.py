@@ -36,14 +36,8 @@ class PartMetrics:
 
 
 class Headline(NamedTuple):
-    """The number that a film shows below its picture.
-
-    Args:
-        text: the number at a step.
-        label: what it is.
-        values: (N + 1,) its values at all instants.
-        most: upper end of their curve; the greatest of them when absent.
-    """
+    """The number that a film shows below its picture: its text at a step, what it is, its values (N
+    + 1,) at all instants, and the upper end of their curve, by default the greatest."""
 
     text: str
     label: str
@@ -52,14 +46,8 @@ class Headline(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """How many of some things were found.
-
-    Args:
-        label: what they are.
-        values: (N + 1,) number that was found, at all instants.
-        number: number of all.
-        colour: their colour.
-    """
+    """How many of some things were found at all instants (N + 1,), of how many, and their
+    colour."""
 
     label: str
     values: np.ndarray

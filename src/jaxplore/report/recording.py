@@ -134,15 +134,9 @@ def find_known_cells(frame: Any) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunData:
-    """Data that the recordings of all tasks share.
-
-    Args:
-        records: the scenario's record of a step, a NamedTuple, with a leading axis of N steps.
-        frames: snapshots of the run, evenly spaced, the last one at its end.
-        timing: wall-clock times of the run.
-        control_period: time between controls [s].
-        is_interrupted: whether the user stopped the run; the data end there.
-    """
+    """Data that the recordings of all tasks share: the records of N steps, a NamedTuple of the
+    scenario with a leading axis; evenly spaced snapshots, the last one at the end; the period of
+    controls [s]. The data of a run that the user stopped end there."""
 
     records: Any
     frames: tuple[Any, ...]

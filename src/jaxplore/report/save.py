@@ -38,12 +38,11 @@ def save_run(
 
     It holds `metrics.json`, `arrays.npz`, `state.npz` for `load_run`, the figures and further files
     of the recording, its animation, and `settings.yaml` if there are settings. There is no
-    `state.npz` if the recording holds something else than arrays, numbers and texts.
+    `state.npz` if the recording holds something else than arrays, numbers and texts. `further` are
+    more arrays for it.
 
-    The animation takes most of the time; Ctrl-C leaves it out, and it is left out after SIGTERM or
-    SIGHUP. The settings are those that led to the run, plain values only. A `film` of None has the
-    default speed and size. `overwrite` replaces a former run. `on_progress` is called with the
-    share that is done, from 0 to 1. `further` are more arrays for `state.npz`.
+    The animation takes most of the time, so Ctrl-C, SIGTERM and SIGHUP leave it out. `on_progress`
+    is called with the share that is done, from 0 to 1.
     """
     kinds = figure_formats(figures)
     # Both documents are made first, so that a value they cannot hold stops before any file exists.

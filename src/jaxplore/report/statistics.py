@@ -52,15 +52,12 @@ def paired_ratio(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Ratio | None:
-    """Compute the ratio of two medians over the common seeds; None without any.
-
-    Both variants are given by seed. A value of None counts as infinite, such as the time of a run
-    that was never finished.
+    """Compute the ratio of two medians over the common seeds; None without any. A value of None
+    counts as infinite, such as the time of a run that was never finished.
 
     The interval is that of the paired percentile bootstrap: seeds are drawn with replacement, the
     same for both, and the middle 95 % of the ratios are kept. A resample without a ratio (both
-    medians infinite, or the reference zero) counts at both ends. The same `seed` gives the same
-    interval.
+    medians infinite, or the reference zero) counts at both ends.
 
     Source: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13.
     """
@@ -115,16 +112,9 @@ def paired_difference(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Difference:
-    """Compute the mean of `after - before`, run by run, with a 95 % interval.
-
-    The values are finite. With a level it is the difference of the tail means, which leave out that
-    share of the least values, see `tail_mean`.
-
-    The interval is that of the paired percentile bootstrap; the same `seed` gives the same
-    interval. For a single run, or equal differences, both ends are the mean.
-
-    Source: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13.
-    """
+    """Compute the mean of `after - before`, run by run, with a 95 % interval by the paired
+    percentile bootstrap, see `paired_ratio`. With a level it is the difference of the tail means,
+    see `tail_mean`. For a single run, or equal differences, both ends are the mean."""
     if not len(before) or len(before) != len(after):
         raise ValueError(
             f"before has {len(before)} values and after {len(after)}; accepted: as many, at least "

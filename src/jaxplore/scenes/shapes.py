@@ -35,12 +35,9 @@ def grow_outlines(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 
 def prisms(outlines: np.ndarray, bottom: float, top: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices (2 N K, 3) and the faces (F, 3) of upright prisms.
-
-    Their outlines (N, K, 2) are convex polygons, counterclockwise [m]. `bottom` and `top` are the
-    heights of the lower and the upper faces [m]. The faces depend on the shape of the outlines
-    only. Prisms whose outline is not finite are put deep below the ground.
-    """
+    """Return the vertices (2 N K, 3) and the faces (F, 3) of upright prisms on convex outlines (N,
+    K, 2), counterclockwise [m], from `bottom` to `top`. The faces depend on the shape of the
+    outlines only. Prisms whose outline is not finite are put deep below the ground."""
     number, sides = outlines.shape[:2]
     vertices = np.stack([raise_points(outlines, bottom), raise_points(outlines, top)], axis=1)
     is_lost = ~np.isfinite(vertices).all(axis=(1, 2, 3))

@@ -61,16 +61,9 @@ class BadLineError(ValueError):
 
 
 class Reading(NamedTuple):
-    """A scan as a line has it.
-
-    Args:
-        line: number of the line, from 1.
-        ranges: readings (B,) [m].
-        pose: pose (x, y, yaw) of the lidar [m, m, rad]; None where the line has none.
-        odometry: pose of the robot by its odometry; None where the line has none.
-        time: time [s].
-        angles: direction of the first beam and angle between two [rad]; None without them.
-    """
+    """A scan as a line has it: its number from 1, readings (B,) [m], the poses (x, y, yaw) of the
+    lidar and of the robot by its odometry, the time [s], and the direction of the first beam and
+    the angle between two [rad]; None for what the line lacks."""
 
     line: int
     ranges: Floats
@@ -390,14 +383,10 @@ def is_mounted(poses: Floats, odometry: Floats) -> bool:
 def odometry_by_lines(
     lines: LogLines, kind: str, readings: Sequence[Reading], poses: Floats
 ) -> Floats | None:
-    """Return the odometry (N, 3) of a corrected log by its lines ODOM; None if it has none.
-
-    In a corrected log of GMapping each scan is followed by a line ODOM with its corrected pose. The
-    lines ODOM up to the next scan continue from there by the odometry. So the odometry between two
-    scans is the motion from the first to the last of these lines. Where a scan has no such lines,
-    the motion between the corrected poses stands for it. `kind` is that of the lines with scans,
-    and `poses` (N, 3) are those of `readings`.
-    """
+    """Return the odometry (N, 3) of a corrected log by its lines ODOM; None if it has none. In a
+    corrected log of GMapping a line ODOM with the corrected pose follows each scan, and those up to
+    the next scan continue by the odometry: the odometry between two scans is the motion from the
+    first to the last. Where there are none, the motion between corrected poses stands for it."""
     rows = np.frombuffer(lines.odometry).reshape(-1, 5)
     if len(rows) < 2 or len(readings) < 2:
         return None

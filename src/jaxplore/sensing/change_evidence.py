@@ -130,12 +130,10 @@ def beam_evidence(
     is_return: Bool[Array, " B"],
     resolution: float,
 ) -> Evidence:
-    """Return the log-likelihood ratios of changes against a known map.
-
-    The ratio of a cell is that of the range's density with the change to its density without. A
-    beam that ended at a moving obstacle, before the greatest range and without a return, is
-    evidence of a person alone. The cells of each beam are in order, nearest first.
-    """
+    """Return the log-likelihood ratios of changes against a known map. The ratio of a cell is that
+    of the range's density with the change to its density without. A beam that ended at a moving
+    obstacle, before the greatest range and without a return, is evidence of a person alone. The
+    cells of each beam are in order, nearest first."""
     entry, exit_ = cells.entry * resolution, cells.exit * resolution
     blocks = cells.is_crossed & ~is_free
     expected = jnp.where(blocks, entry, jnp.inf).min(axis=-1)

@@ -20,11 +20,11 @@ class Clusters(NamedTuple):
     """Clusters of points, in the order of the beams; those beyond the K-th are left out.
 
     Args:
-        middle: (K, 2) mean of the points of each [m].
-        width: (K,) distance between its first and its last point [m].
-        num_points: (K,) number of its points; 0 where there is no such cluster.
-        is_cut: (K,) whether something in front of it may hide a part of it.
-        label: (B,) cluster of each beam; K for none.
+        middle: mean of the points of each [m].
+        width: distance between its first and its last point [m].
+        num_points: number of its points; 0 where there is no such cluster.
+        is_cut: whether something in front of it may hide a part of it.
+        label: cluster of each beam; K for none.
     """
 
     middle: Float[Array, "K 2"]
@@ -137,15 +137,11 @@ def find_hiding_edges(
     *,
     is_circle: bool,
 ) -> Edges:
-    """Find where the range jumps by more than the width of what may be hidden [m].
-
-    The nearer one of two such neighbours is on the edge of something that hides what is behind it,
-    and the farther one tells that there is room.
-
-    A beam that met nothing has the greatest range [m]. `is_edge` masks the ends that can be such an
-    edge: those at something that does not move. `number` is the greatest number of edges, E.
-    `is_circle` tells whether the first beam is beside the last. Both are static.
-    """
+    """Find where the range jumps by more than the width of what may be hidden [m]: the nearer
+    neighbour is on the edge of something that hides what is behind it, and the farther one tells
+    that there is room. Beams that met nothing have the greatest range. `is_edge` masks ends at
+    something that does not move. At most `number` edges; `is_circle` if the first beam is beside
+    the last; both static."""
     is_valid = ranges > 0.0
 
     def is_deeper(step: int) -> Bool[Array, " B"]:

@@ -19,12 +19,9 @@ def fan(
     angles: Float[Array, " B"],
     max_range: float,
 ) -> RayCells:
-    """Return the cells that rays cross, nearest first: `RayCells` with a leading axis B.
-
-    Rays start at a position (x, y) in the world, or each at its own (B, 2) [m]. Angles are in the
-    grid's frame [rad]. All cells entered within `max_range` [m] (static) are returned. The
-    probabilities of the grid are not read.
-    """
+    """Return the cells that rays cross within `max_range` [m] (static), nearest first: `RayCells`
+    with a leading axis B. They start at a position (x, y), or each at its own (B, 2) [m]. Angles
+    are in the grid's frame. The probabilities of the grid are not read."""
     start = grid.frame.to_grid(position)
     length = max_range / grid.resolution
     if start.ndim == 2:

@@ -27,14 +27,9 @@ ROUNDING = 1e-4
 
 
 class ScanMotion(NamedTuple):
-    """Motion of a robot while a lidar turns.
-
-    Args:
-        true: true velocity (vx, vy, omega) in the frame of the robot [m/s, m/s, rad/s].
-        known: the same as the robot knows it; where it is not finite, the robot takes itself to
-            stand.
-        duration: time of a turn [s].
-    """
+    """Motion of a robot while a lidar turns: its true velocity (vx, vy, omega) in its frame, the
+    same as it knows it (where that is not finite, it takes itself to stand), and the time of a turn
+    [s]."""
 
     true: Twist
     known: Twist

@@ -10,12 +10,8 @@ from jaxplore.sensing.beams import Beams, Scan
 
 
 class Sweep(NamedTuple):
-    """When each direction of a scan is measured.
-
-    Args:
-        begin: direction of the first reading in the frame of the robot [rad].
-        rate: rate at which the direction turns, negative if clockwise [rad/s].
-    """
+    """When each direction of a scan is measured: that of the first reading in the frame of the
+    robot, and the rate at which it turns [rad/s], negative if clockwise."""
 
     begin: float
     rate: float
@@ -44,12 +40,10 @@ def undistort_points(points: np.ndarray, times: np.ndarray, twist: np.ndarray) -
 def undistort_scan(
     scan: Scan, sensor: Beams, sweep: Sweep, twist: np.ndarray, place: np.ndarray
 ) -> Scan:
-    """Return a scan as one from the pose of the lidar at the time of the first reading.
-
-    Each end goes to the beam whose direction is nearest by then. Of several the nearest one counts,
-    and a beam without any is no measurement. The twist (vx, vy, omega) of the robot and the
-    position `place` of the lidar [m] are in the frame of the robot.
-    """
+    """Return a scan as one from the pose of the lidar at the time of the first reading. Each end
+    goes to the beam whose direction is nearest by then; of several the nearest one counts, and a
+    beam without any is no measurement. Twist (vx, vy, omega) and `place` of the lidar are in the
+    robot's frame."""
     ranges, is_return = np.asarray(scan.ranges, np.float64), np.asarray(scan.is_return)
     angles = sensor.beam_angles.astype(np.float64)
     ends = place + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -29,11 +29,7 @@ def is_own(value: object) -> bool:
 
 
 class WordsOrOwn:
-    """The type of such a setting, for `typing.Annotated`.
-
-    Args:
-        words: the accepted words.
-    """
+    """The type of a setting that accepts some words, for `typing.Annotated`."""
 
     def __init__(self, words: tuple[str, ...]) -> None:
         self.words = words

@@ -131,16 +131,8 @@ def setting(
     differs: str | None = None,
 ) -> Any:
     """Make a field of a section with the default and the description of an owner's parameter.
-
-    Args:
-        owner: function or class that has the setting as a parameter.
-        name: name of the owner's parameter.
-        convert: conversion from the unit of the parameter to the unit of the setting.
-        differs: key of `DIFFERENCES`, if the default is not the owner's.
-
-    Raises:
-        ValueError: the owner has no such parameter, or it has no default.
-    """
+    `convert` converts from the unit of the parameter to that of the setting. `differs` is the key
+    of `DIFFERENCES`, if the default is not the owner's."""
     own = convert(parameter_default(owner, name))
     # `arguments` finds the settings of an owner by this entry of the schema.
     return Field(
@@ -164,14 +156,8 @@ def difference_entries(kind: str) -> dict[str, Any]:
 
 
 def arguments(section: BaseModel, owner: Owner) -> dict[str, Any]:
-    """Return the settings of a section as keyword arguments of an owner.
-
-    The values keep the units of the settings: angles are in degrees.
-
-    Args:
-        section: checked settings.
-        owner: function or class with which some of the settings were declared, see `setting`.
-    """
+    """Return the settings of a section that were declared with an owner, see `setting`, as keyword
+    arguments of it, in the units of the settings: angles are in degrees."""
     taken = {}
     for name, field in type(section).model_fields.items():
         source = field.json_schema_extra

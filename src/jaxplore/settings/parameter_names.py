@@ -30,15 +30,9 @@ def controller_parameter(owner: str | None, name: str) -> str | None:
 
 
 def under_their_settings(entries: dict[str, Any], controller: type[Section]) -> dict[str, Any]:
-    """Return settings entries whose `parameters` are without those that settings set.
-
-    These become entries of the section `controller`. A parameter overrides a setting, so it does
-    here as well. The run is the same.
-
-    Args:
-        entries: settings entries of a run whose controller reads the section `controller`.
-        controller: class of that section.
-    """
+    """Return settings entries whose `parameters` are without those that settings of the section
+    `controller` set. A parameter overrides a setting, so it does here as well, and the run is the
+    same."""
     given, section = entries.get("parameters"), entries.get("controller", {})
     # What is no mapping is refused by the check that follows.
     if not isinstance(given, dict) or not isinstance(section, dict):

@@ -26,14 +26,8 @@ from jaxplore.settings.accepted_values import choices
 
 @dataclasses.dataclass(frozen=True)
 class Readers:
-    """Runs that read a setting.
-
-    Args:
-        text: these runs in words.
-        reads: function that says whether a run with these settings reads the setting.
-        by: the setting that tells them apart from others, by its dotted name; none for several.
-        models: models of the robot that read it, if it is these that do.
-    """
+    """Runs that read a setting: in words, by a function of their settings, by the one setting that
+    tells them apart, and by the models of robots, if it is these that do."""
 
     text: str
     reads: Callable[[Any], bool]

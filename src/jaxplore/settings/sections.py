@@ -176,16 +176,9 @@ class RunSettings(Section):
 
 
 def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> dict[str, Any]:
-    """Read settings from a YAML file.
-
-    Args:
-        path: path of the file.
-        is_trusted: whether the file may name code, MODULE:NAME, see `jaxplore.settings.code_names`.
-
-    Raises:
-        ValueError: a file that is missing, unreadable, too large, not YAML, too intricate or not a
-            mapping, or that names code and is not trusted.
-    """
+    """Read settings from a YAML file, which names code (MODULE:NAME) only if it `is_trusted`, see
+    `jaxplore.settings.code_names`. A file that is missing, unreadable, too large, not YAML, too
+    intricate or not a mapping raises a `ValueError`."""
     where = f"settings file {printable_path(Path(path))}"
     data = read_bytes(Path(path), "a settings YAML", SETTINGS_LIMIT, f"{where} cannot be read: it")
     try:

@@ -26,12 +26,10 @@ def record_alone(
 
 
 class SideBySide:
-    """Runner of batches of experiments by `jax.vmap`, with a fixed batch size.
-
-    It remembers which arrays have differed between the experiments of a kind and stacks them in all
-    later batches, so that these run the same compiled program. A smaller batch is filled up with
-    copies of its last experiment: another size would need another program, with other rounding.
-    """
+    """Runner of batches of experiments by `jax.vmap`, with a fixed batch size. It remembers which
+    arrays have differed between the experiments of a kind and stacks them in all later batches, so
+    that these run the same program. A smaller batch is filled up with copies of its last
+    experiment: another size would need another program, with other rounding."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -46,13 +44,8 @@ class SideBySide:
         with_frames: bool = False,
     ) -> list[Recording]:
         """Run experiments, at most a batch, that differ in keys and in the values of arrays only.
-
-        `kind` names those that share a compiled program, such as the scenario. The simulated time
-        is limited to `time_limit` [s].
-
-        Raises:
-            ValueError: experiments that differ in structure or sizes.
-        """
+        `kind` names those that share a compiled program, such as the scenario. `time_limit` is
+        simulated time [s]."""
         padded = [*experiments, *[experiments[-1]] * (self._size - len(experiments))]
         steps = max(_num_steps(each, time_limit) for each in padded)
         recordings, self._differs[kind] = record_experiments(

@@ -58,12 +58,9 @@ class _Failure:
 
 @dataclasses.dataclass(frozen=True)
 class _Part(Task):
-    """The part of a run that a worker computes.
-
-    `places` are those of each worker's robots in the fleet, `hub` is the name of the actor at which
-    the workers meet, and `key` the data of the random key. `packed` is pickled: the controller, the
-    scenario, and the greatest number of steps.
-    """
+    """The part of a run that a worker computes: the places of each worker's robots in the fleet,
+    the name of the actor at which they meet, the data of the random key, and pickled the
+    controller, the scenario and the greatest number of steps."""
 
     number: int
     places: tuple[tuple[int, ...], ...]

@@ -20,11 +20,7 @@ _BEGINNING = (
 
 
 def to_commented_yaml(settings: RunSettings) -> str:
-    """Return the settings that a run reads as YAML, with the meaning of each above it.
-
-    Args:
-        settings: checked settings.
-    """
+    """Return the settings that a run reads as YAML, with the meaning of each above it."""
     task = kind_of(settings).name
     known = {row.name: row for row in rows() if row.task == task}
     values = read_values(settings)

@@ -62,11 +62,8 @@ class Part(NamedTuple):
 def check_needs(
     parts: tuple[Part, ...], limit: float, *, num_runs: int = 1, batch: int = 1
 ) -> None:
-    """Check that `num_runs` processes, with `batch` runs each, need at most `limit` bytes.
-
-    Raises:
-        ValueError: they need more; one line that names the greatest part and its settings.
-    """
+    """Check that `num_runs` processes, with `batch` runs each, need at most `limit` bytes. The
+    `ValueError` names the greatest part and its settings."""
     # The runs of a batch share their program.
     sizes = {
         part: num_runs * part.size * (1 if part.name == _PROGRAMS else batch) for part in parts

@@ -104,11 +104,7 @@ def sections() -> dict[tuple[str, str], str]:
 
 
 def find_rows(name: str) -> tuple[Row, ...]:
-    """Return the row of a setting or the rows of a section, of both kinds of task if both have it.
-
-    Args:
-        name: dotted name of a setting, or name of a section; an unknown name has no rows.
-    """
+    """Return the row of a setting, or the rows of a section, of all kinds of task that have it."""
     return tuple(row for row in rows() if name in (row.name, row.section) and name)
 
 

@@ -60,15 +60,9 @@ def files_of(selector: str) -> OnMaps:
 
 
 def make_settings(entries: dict[str, Any]) -> RunSettings:
-    """Check entries, and return settings of the kind of task that they describe.
-
-    Entries with a `path`, or with the map `path`, describe path following, those with a `volume`
-    the exploration of a volume, and all others that of a plane.
-
-    Raises:
-        ValueError: a path or a volume beside a map, an unknown name, a value that is not accepted
-            or a setting that the run does not read; one line that names it.
-    """
+    """Check entries, and return settings of the kind of task that they describe: those with a
+    `path`, or with the map `path`, path following, those with a `volume` the exploration of one,
+    and all others that of a plane."""
     entries = _with_selector(entries)
     settings = _check(find_kind(entries), entries)
     refuse(settings, list_unread(settings, entries))
@@ -101,12 +95,8 @@ def _list_unknown(
 
 
 def keep_read[Name](runs: Mapping[Name, Entries]) -> dict[Name, dict[str, Any]]:
-    """Return entries of runs that are compared, each without the settings that it does not read.
-
-    Raises:
-        ValueError: a setting that none of the runs that have it reads, or what `make_settings`
-            raises.
-    """
+    """Return entries of runs that are compared, each without the settings that it does not read. A
+    setting that none of the runs that have it reads raises a `ValueError`."""
     given = {name: _with_selector(entries) for name, entries in runs.items()}
     checked = {name: _check(find_kind(each), each) for name, each in given.items()}
     unread = {name: list_unread(each, given[name]) for name, each in checked.items()}
@@ -134,12 +124,7 @@ def without_unread(entries: Entries) -> dict[str, Any]:
 
 
 def build(settings: RunSettings) -> Experiment:
-    """Build the experiment that settings describe.
-
-    Raises:
-        ValueError: a file that cannot be read, a start that is not possible, or settings that a
-            part rejects.
-    """
+    """Build the experiment that settings describe."""
     return kind_of(settings).build(settings)
 
 
@@ -165,13 +150,8 @@ def words() -> dict[str, Entries]:
 
 
 def place_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
-    """Return the entries of a run at a place, given by its name or its file.
-
-    A file that names code must be trusted.
-
-    Raises:
-        ValueError: a file that is missing, or of no kind.
-    """
+    """Return the entries of a run at a place, given by its name or its file. A file that names code
+    must be trusted."""
     known = places()
     name = match_spelling(name, tuple(known))
     if name in known:

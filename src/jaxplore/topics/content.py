@@ -25,12 +25,10 @@ MOST_ROLLOUTS, MOST_POINTS = 20, 11
 
 
 class Content:
-    """What is recorded of the runs of any task: the commands, the states and the metrics.
-
-    Metrics are the fields of the record of a step that are single numbers. A flag is 1 if it was
-    set in any step since the last message. The `recording` is the run when it begins, with no step
-    and one frame.
-    """
+    """What is recorded of the runs of any task: the commands, the states and the metrics, which are
+    the fields of the record of a step that are single numbers. A flag is 1 if it was set in any
+    step since the last message. The `recording` is the run when it begins, with no step and one
+    frame."""
 
     def __init__(self, channels: Channels, recording: Any, controller: Controller) -> None:
         self.channels, self.recording = channels, recording

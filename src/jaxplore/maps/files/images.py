@@ -117,14 +117,10 @@ def _check_header(file: BinaryIO) -> None:
 
 
 def _is_compressed_too_large(file: BinaryIO) -> bool:
-    """Check what Pillow and its libraries allocate or repeat before they tell the size.
-
-    A decoder of WebP is made with its canvas, up to 268 million pixels. The size of the canvas, or
-    of the only frame, stands in the first chunk. Each scan of a JPEG runs over the whole image.
-
-    Raises:
-        ValueError: a file that is too long, or has too many scans.
-    """
+    """Check what Pillow and its libraries allocate or repeat before they tell the size: a decoder
+    of WebP is made with its canvas, up to 268 million pixels, whose size stands in the first chunk;
+    each scan of a JPEG runs over the whole image. A `ValueError` tells of too many scans or
+    bytes."""
     head = file.read(30)
     file.seek(0)
     is_webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"

@@ -54,15 +54,9 @@ Integers = NDArray[np.int32]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VolumeFile:
-    """What the file of a volume holds, before its voxels are made.
-
-    Args:
-        shape: voxels along z, y and x.
-        resolution: side of a voxel [m].
-        origin: corner (x, y, z) in the coordinates of the file [m].
-        make: function that makes the solid voxels (D, H, W).
-        name: the file, for messages.
-    """
+    """What the file of a volume holds, before its voxels are made: their numbers along z, y and x,
+    their side [m], the corner (x, y, z) in the coordinates of the file [m], a function that makes
+    the solid ones (D, H, W), and the file for messages."""
 
     shape: tuple[int, int, int]
     resolution: float

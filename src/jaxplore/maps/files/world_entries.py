@@ -230,14 +230,12 @@ def refuse_unknown(where: str, entries: Mapping[Any, Any], accepted: Collection[
 def touches_solid(
     solid: NDArray[np.bool_], ends: NDArray[np.float64], radius: float, resolution: float
 ) -> bool:
-    """Return whether a disc that moves from one point to another touches a solid cell.
+    """Return whether a disc that moves between the `ends` (2, 2), (x, y) from the lower corner of
+    the map [m], touches a solid cell. Off the map nothing is solid.
 
     The test is exact. A segment and a square intersect unless an axis of the square or the normal
-    of the segment separates them. If they do not intersect, their distance is that of an end of the
-    segment from the square or of a corner of the square from the segment.
-
-    The ends (2, 2) are (x, y) from the lower corner of the map [m], and may coincide. Off the map
-    nothing is solid.
+    of the segment separates them. If they do not, their distance is that of an end of the segment
+    from the square or of a corner of the square from the segment.
     """
     limits = np.array(solid.shape)
     (left, bottom), (right, top) = ends.min(axis=0) - radius, ends.max(axis=0) + radius

@@ -82,14 +82,10 @@ def block(
 
 
 class Clutter:
-    """Obstacles on a floor, with a passage between any two of them.
-
-    Obstacles without holes that are farther apart than the robot is wide never cut off a part of
-    the floor: the robot can go around each of them.
-
-    `put` adds to `occupied` (H, W) in place. Obstacles are at least `passage` [m] apart. With
-    `is_apart` new ones also keep this distance from what was occupied before.
-    """
+    """Obstacles on a floor, with a passage between any two of them: without holes and farther apart
+    than the robot is wide, they never cut off a part of the floor. `put` adds to `occupied` (H, W)
+    in place, at least `passage` [m] apart; `is_apart` keeps this from what was occupied before,
+    too."""
 
     def __init__(
         self, occupied: Mask, passage: float, resolution: float, *, is_apart: bool

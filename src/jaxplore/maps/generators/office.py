@@ -186,10 +186,8 @@ def _cut_doors(
     inner: slice,
     resolution: float,
 ) -> NDArray[np.bool_]:
-    """Open a door from each room to the corridor and some to the next room.
-
-    Returns the mask (H, W) of the cells that furniture has to keep clear.
-    """
+    """Open a door from each room to the corridor and some to the next room; return the mask (H, W)
+    of the cells that furniture has to keep clear."""
     keep_clear = np.zeros_like(occupied)
     reach, margin = math.ceil(DOOR_CLEARANCE / resolution), math.ceil(0.3 / resolution)
     narrow = math.ceil(0.9 / resolution - 1e-9)

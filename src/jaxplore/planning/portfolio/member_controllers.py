@@ -38,8 +38,7 @@ class Normalisation(eqx.Module):
 
         s_o = max(floor_o, spread_o),   spread_o = mean of |J_o - mean J_o|
 
-    `smoothing_time` is the time constant of the smoothing [s]. If `is_on` is false, all scales
-    are 1.
+    `smoothing_time` is the time constant [s]. All scales are 1 unless `is_on`.
     """
 
     floors: Float[Array, " O"]
@@ -58,14 +57,13 @@ class Normalisation(eqx.Module):
         elapsed: Scalar,
         axis: str,
     ) -> Float[Array, " O"]:
-        """Update the spread of the objectives (O,) with the rollouts of a step.
+        """Update the spread of the objectives with the rollouts of a step.
 
             spread <- spread + (1 - exp(-elapsed / smoothing_time)) (new - spread)
 
-        The spread is 0 before the first step. The first new one is taken unsmoothed; one that is 0
-        or not finite is ignored. `values` (O, K) are the objectives of this member's rollouts, and
-        `hard` (K,) their hard costs. `elapsed` is the time since the last step [s]. `axis` is the
-        name of the mapped axis of members.
+        The first new one is taken unsmoothed; one that is 0 or not finite is ignored. `values` are
+        the objectives of this member's rollouts, `hard` their hard costs, and `axis` the mapped
+        axis of members.
         """
         # Rollouts that collide do not count, as long as others are left: the depth of a collision
         # would hide the differences between the rollouts that may be chosen.
@@ -88,12 +86,9 @@ class Normalisation(eqx.Module):
 
 
 class MemberPlans(NamedTuple):
-    """Plans of the N members in one step; all arrays have a leading axis of N.
-
-    `states` are those after the step. `controls` (N, T, nu) are on the time grid of the template.
-    `uncertainties` (N,) are the spreads of the weighted samples, in half ranges of the controls;
-    infinite for a member without a finite rollout.
-    """
+    """Plans of the N members in one step, along leading axes of N: the states after it, the
+    controls (T, nu) on the time grid of the template, and the spreads of the weighted samples, in
+    half ranges of the controls; infinite for a member without a finite rollout."""
 
     states: MPPIState
     infos: Info

@@ -38,12 +38,9 @@ from jaxplore.planning.portfolio.safe_fusion import SafeFusion, fusion_by_name
 
 
 class CommonObjective(eqx.Module):
-    """Evaluates plans from the current state under `sum_o f_o J_o + J_hard`.
-
-    `hard` is the cost J_hard, which no member trades for an objective. `objectives` are the J_o by
-    name, and `factors` (O,) the f_o. `dt` is the model step of the plans [s], and `applied` (nu,)
-    the control of the last step.
-    """
+    """Evaluates plans from the current state under `sum_o f_o J_o + J_hard`, with the `factors` f_o
+    of the `objectives` J_o, and the cost `hard`, which no member trades for an objective. `applied`
+    is the control of the last step."""
 
     dynamics: Dynamics
     hard: Cost

@@ -52,12 +52,8 @@ def sampling(
     effective_share: ArrayLike,
     importance: ArrayLike = 0.0,
 ) -> Sampling:
-    """Build the parts of MPPI from their names and numbers; see the functions below.
-
-    `noise_std` (nu,) are the standard deviations of independent controls, see `spread`. `horizon`
-    is the number of model steps ahead, T, of `dt` [s] each, and `num_samples` the number of
-    rollouts, K. `weighting_by_name` says what the other numbers are.
-    """
+    """Build the parts of MPPI from their names and numbers; see the functions below. `noise_std`
+    (nu,) are the standard deviations of independent controls, see `spread`."""
     chosen = parameterisation_by_name(parameterisation, horizon)
     factor = spread(chosen, horizon, dt)
     # Checks the standard deviations, which are scaled afterwards.

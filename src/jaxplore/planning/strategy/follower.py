@@ -59,21 +59,12 @@ class Follower(eqx.Module):
         reference: Float[Array, "T D"],
         dt: ArrayLike,
     ) -> Float[Array, "T nu"]:
-        """Simulate the law along a reference and return its controls (T, nu), within the bounds.
+        """Simulate the law along a reference and return its controls, within the bounds.
 
         Where the control of the law or the state is not finite, the default control is used. Where
         the model returns a state that is not finite, the simulation continues from the last one.
-
-        Args:
-            dynamics: model of the robot.
-            state: (nx,) initial state of the robot.
-            reference: (T, 2) or (T, 3) positions after 1 ... T steps [m]. Without a third column, a
-                model with `z` keeps its height; a model without `z` ignores the column.
-            dt: model step [s].
-
-        Raises:
-            ValueError: a model of another class, a reference of the wrong shape, a step that is not
-                positive.
+        The reference (T, 2) or (T, 3) are positions after 1 ... T steps [m]. Without a third
+        column, a model with `z` keeps its height; a model without `z` ignores the column.
         """
         step = _checks.scalar("dt", dt, above=0.0)
         points = _points(dynamics, state, reference)

@@ -64,13 +64,8 @@ class GradientReference(eqx.Module):
     def __call__(
         self, field: ScalarField, grid: OccupancyGrid, start: Float[Array, "3"]
     ) -> Float[Array, "T 3"]:
-        """Compute the positions (x, y, z) after 1 ... T steps (T, 3) [m].
-
-        Args:
-            field: field to ascend, such as `LocalFieldSensor(...).field(...).best`.
-            grid: map that the robot knows.
-            start: (3,) initial position (x, y, z) [m]; z is kept.
-        """
+        """Compute the positions (x, y, z) after 1 ... T steps [m] that ascend a field, such as
+        `LocalFieldSensor(...).field(...).best`, on the map that the robot knows; z is kept."""
         along_row, along_column = jnp.gradient(field.values, field.frame.resolution)
         slopes = jnp.stack([along_row, along_column])
         flat = FLAT * jnp.abs(field.values).max() / field.frame.resolution

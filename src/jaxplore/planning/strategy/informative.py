@@ -24,13 +24,8 @@ from jaxplore.planning.strategy.strategic_mppi import StrategicMPPI, check_strat
 
 
 class StrategicPlan(NamedTuple):
-    """Result of the strategic layer.
-
-    Args:
-        potential: information of a scan at each place around the robot, by heading [nat].
-        best: greatest value of `potential` over headings [nat].
-        reference: (T, 3) positions (x, y, z) for the robot to follow [m].
-    """
+    """Result of the strategic layer: the information of a scan at each place around the robot by
+    heading, its greatest value over headings [nat], and positions (x, y, z) to follow [m]."""
 
     potential: HeadingField
     best: ScalarField

@@ -28,13 +28,10 @@ class InformativeState(NamedTuple):
 
 
 class StrategicMPPI(Controller):
-    """MPPI at every command, and a strategic layer at every n-th one, whose plan its costs read.
-
-    Between two runs of the strategic layer its last plan is kept. `strategy_period` is the time
-    between them [s], a multiple of the control period. If there is a follower, it turns the
-    reference of the plan into controls, and the `BiasedProposal` of `mppi` draws a share of the
-    samples around these.
-    """
+    """MPPI at every command, and a strategic layer every `strategy_period` [s], a multiple of the
+    control period, whose plan its costs read until the next one. If there is a follower, it turns
+    the reference of the plan into controls, and the `BiasedProposal` of `mppi` draws a share of the
+    samples around these."""
 
     belief_type: ClassVar[type]
 

@@ -217,12 +217,7 @@ class TargetChoice(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, belief: Belief, start: ReferenceStart) -> TargetScores:
-        """Score all targets and select one.
-
-        Args:
-            belief: what the robot knows of the world.
-            start: where the robot is.
-        """
+        """Score all targets and select one."""
 
 
 class TargetReference(StrategicReference):

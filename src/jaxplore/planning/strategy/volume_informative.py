@@ -25,13 +25,9 @@ from jaxplore.planning.strategy.volume_reference import VolumeReference
 
 
 class VolumeStrategicPlan(NamedTuple):
-    """Result of the strategic layer in a volume.
-
-    Args:
-        best: greatest information over headings by position [nat m^3].
-        reference: (T, 3) positions (x, y, z) for the robot to follow, z up [m].
-        heading: heading with the most attention at the end of the reference [rad].
-    """
+    """Result of the strategic layer in a volume: the greatest information over headings [nat m^3],
+    positions (x, y, z) to follow, z up [m], and the heading with the most attention at their
+    end."""
 
     best: VolumeField
     reference: Float[Array, "T 3"]

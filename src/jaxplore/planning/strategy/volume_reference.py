@@ -59,14 +59,9 @@ class VolumeReference(eqx.Module):
         required: Scalar,
         start: Float[Array, "3"],
     ) -> Float[Array, "T 3"]:
-        """Compute the positions (x, y, z) after 1 ... T steps (T, 3), z up [m].
-
-        Args:
-            guidance: cost-to-go to descend [m].
-            clearance: distance to the nearest voxel that is not known to be free [m].
-            required: clearance that the robot needs [m].
-            start: (3,) initial position (x, y, z), z up [m].
-        """
+        """Compute the positions (x, y, z) after 1 ... T steps [m], z up, that descend a cost-to-go
+        [m] and keep the clearance that the robot needs from voxels that are not known to be free
+        [m]."""
         length = self.speed * self.dt
         pieces = jnp.maximum(jnp.ceil(length / (0.5 * clearance.spacing)), 1.0)
 

@@ -148,12 +148,9 @@ def write_film[F](
     options: FilmOptions,
     on_progress: Callable[[float], None],
 ) -> None:
-    """Write a film of frames, at least one, completely or not at all.
-
-    The suffix of the path, .gif or .mp4, says which kind. A GIF loops, and pauses on the last
-    frame. All pictures that `draw` returns have the same size. `palette` computes the palette of a
-    GIF from some of them. `on_progress` is called with the share that is done, 0 to 1.
-    """
+    """Write a film of frames, at least one, completely or not at all: .gif or .mp4 by the suffix. A
+    GIF loops, pauses on the last frame, and has the `palette` of some of its pictures. All pictures
+    have one size. `on_progress` is called with the share that is done, 0 to 1."""
     file = check_film(path, options)
     seconds = options.frame_seconds(file.suffix.lower())
 

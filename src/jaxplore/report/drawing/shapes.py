@@ -72,12 +72,9 @@ def draw_body(
     heading: float,
     colour: Colour = ROBOT,
 ) -> None:
-    """Draw a robot, a rectangle or a disc, with an arrow in its heading.
-
-    A robot that is small in the picture is enlarged, and keeps its shape. `footprint` has the
-    corners (4, 2) of a rectangle in the robot's own frame [m], or is (0, 2) for a disc with the
-    radius [m]. If the heading [rad] is not finite, a disc without an arrow is drawn.
-    """
+    """Draw a robot, a rectangle with corners (4, 2) in its own frame or a disc (0, 2), with an
+    arrow in its heading. A small one is enlarged, and keeps its shape. If the heading is not
+    finite, it is a disc without an arrow."""
     middle, edge = surface.pixels(position), round(1.2 * surface.unit)
     reach = max(radius * surface.scale, LEAST_RADIUS * surface.unit)
     is_turned = bool(np.isfinite(heading))

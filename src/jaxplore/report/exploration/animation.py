@@ -63,13 +63,8 @@ def frame_image(
     width: int = WIDTH,
     scale: float = 1.0,
 ) -> Image.Image:
-    """Draw one frame of a run, as in the animation.
-
-    The width is that at scale 1 [pixels]; tall or small maps have less.
-
-    Raises:
-        ValueError: a width below 320 pixels.
-    """
+    """Draw one frame of a run, as in the animation. The width is that at scale 1 [pixels], at least
+    320; tall or small maps have less."""
     return _draw(make_canvas(recording, width, scale), frame)
 
 
@@ -195,12 +190,9 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 
 
 def compute_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
-    """Compute the palette that all frames share from a few pictures, all of one size.
-
-    Thin lines have few pixels, and a palette by frequency would lose their colours. Their colours
-    are fixed, pure and blended with the background. The others are computed from the pictures. What
-    the recording does not have gets no colour.
-    """
+    """Compute the palette that all frames share from a few pictures, all of one size. Thin lines
+    have few pixels, and a palette by frequency would lose their colours: they are fixed, pure and
+    blended with the background, as far as the recording has them."""
     lines: tuple[Colour, ...] = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, *lines]
     if TEAM in recording.parts:

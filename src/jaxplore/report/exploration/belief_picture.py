@@ -50,17 +50,13 @@ def belief_picture(
     frame: MissionFrame,
     width: int = 640,
 ) -> np.ndarray:
-    """Draw the belief, the trail, the last scan, the parts and the robot (rows, columns, 3).
+    """Draw the belief, the trail, the last scan, the parts and the robot (rows, columns, 3) in 256
+    levels.
 
-    The picture is in 256 levels. As in the animation of a run, a target is a star until it is
-    found, then a ring with a check mark: a spectator sees the places of all targets. `frame` has
-    what `parts` show now.
-
-    The grid of the belief (H, W) has the pose `origin` [m, m, rad] and cells of side `resolution`
-    [m]. `path` (N, 2) are past positions of the robot, the last row its present one [m].
-    `footprint` has the corners (4, 2) of a rectangle in the robot's frame [m], or is (0, 2) for a
-    disc. `scan` (B, 2) are the end points of the beams [m]. The width of the picture [pixels] is
-    rounded to a multiple of the width of a cell.
+    As in the animation of a run, a target is a star until it is found, then a ring with a check
+    mark: a spectator sees the places of all targets. `frame` has what `parts` show now. The trail
+    `path` (N, 2) ends at the present position, and `scan` (B, 2) are the ends of the beams [m]. The
+    width is rounded to a multiple of that of a cell.
     """
     rows, columns = probability.shape
     side = max(1, round(width / columns))

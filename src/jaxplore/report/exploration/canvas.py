@@ -43,13 +43,8 @@ class Canvas:
 
 
 def make_canvas(recording: ExplorationData, width: int, zoom: float) -> Canvas:
-    """Make the canvas of a recording; `zoom` is the scale of the picture.
-
-    The width is in pixels of scale 1; tall or small maps have less.
-
-    Raises:
-        ValueError: a width below 320 pixels.
-    """
+    """Make the canvas of a recording; `zoom` is the scale of the picture. The width is in pixels of
+    scale 1, at least 320; tall or small maps have less."""
     if width < MIN_WIDTH:
         raise ValueError(f"width is {width!r}; accepted: a whole number >= {MIN_WIDTH}")
     time, coverage, _, path = progress(recording)

@@ -15,12 +15,8 @@ GUARD_COLUMN = Column.total("stopped_steps", "stopped [steps]", applies=lambda t
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GuardMetrics(Metrics):
-    """Metrics of the guard; those of a fleet are of all its robots.
-
-    Args:
-        stops: number of times that the guard stopped the robot, by reason; empty if it never did.
-        stopped_steps: number of steps in which it was stopped.
-    """
+    """Metrics of the guard, of all robots together: how often it stopped one, by reason, and the
+    number of steps in which one was stopped."""
 
     stops: dict[str, int] = dataclasses.field(default_factory=dict)
     stopped_steps: int = 0

@@ -18,12 +18,9 @@ MAX_POINTS = 2000
 
 
 def members_figure(recording: ExplorationData) -> "Figure":
-    """Draw the members' shares in the control, their diversity and their sample sizes over time.
-
-    All are means over a second. A share is the weight of a member in the applied control; the
-    diversity is the mean distance between two members' controls. A recording of a controller
-    without members raises a `ValueError`.
-    """
+    """Draw the members' shares in the control, their diversity (the mean distance between two
+    members' controls) and their sample sizes over time, all as means over a second. A recording of
+    a controller without members raises a `ValueError`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -14,11 +14,7 @@ from jaxplore.report.recording import Frame
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MissionFrame(Frame):
-    """A snapshot of what was found so far.
-
-    Args:
-        parts: arrays of each part that has any, by its name.
-    """
+    """A snapshot of what was found so far: arrays of each part that has any, by its name."""
 
     parts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 

@@ -55,13 +55,9 @@ def map_figure(recording: ExplorationData) -> "Figure":
     """Draw the final belief with the robot's path and the outline of the true free space.
 
     Walls that the belief lacks are red, with a line that is as wide in the picture of a large map:
-    they were not seen, or a robot that estimates its pose has drawn them elsewhere. If present, it
-    also shows the height of the ground as contour lines, untraversable ground hatched, the last
-    positions of the moving obstacles with their positions in the frames, what parts show, and a
-    rectangular robot's outline at the start and at the end.
-
-    Of several robots each has a colour; the path of one is coloured by time. A rotated map is drawn
-    along its own axes.
+    they were not seen, or a robot that estimates its pose has drawn them elsewhere. Of several
+    robots each has a colour; the path of one is coloured by time. A rotated map is drawn along its
+    own axes.
     """
     window = Window.around_reachable(recording)
     width, height = map_inches(window)

@@ -15,13 +15,8 @@ STALL_RADIUS = 0.25
 def progress(
     recording: ExplorationData,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
-    """Compute time [s], coverage, entropy [nat] and path length [m] at the N + 1 instants of a run.
-
-    Instant k is the beginning of step k, the last one the end of the run: nothing is sensed after
-    the last step, so coverage and entropy keep their last values there. In a run without a step
-    they are those at the start. The path is that of all robots. Of several robots the entropy is
-    None.
-    """
+    """Compute time [s], coverage, entropy [nat] and path length [m] of all robots at the N + 1
+    instants of a run, see `at_instants`. Of several robots the entropy is None."""
     records = recording.records
     coverage, entropy = (
         None if values is None else at_instants(values, initial).astype(np.float32)

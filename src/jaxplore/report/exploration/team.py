@@ -121,12 +121,8 @@ class TeamMetrics(PartMetrics):
 
 @dataclasses.dataclass(frozen=True)
 class TeamReport(PartReport):
-    """What a run shows of several robots together.
-
-    Args:
-        coordination: how the robots divided the places among themselves.
-        beliefs: (N, H, W) map of each robot at the end, in 256 levels.
-    """
+    """What a run shows of several robots together: how they divided the places among themselves,
+    and the map (N, H, W) of each at the end, in 256 levels."""
 
     name: ClassVar[str] = TEAM
     record_type: ClassVar[type | None] = TeamRecord

@@ -132,13 +132,9 @@ def num_laps(recording: PathData) -> int:
 
 
 def lap_starts(recording: PathData) -> np.ndarray:
-    """Return the times at which laps begin (L + 1,) [s]: the start, and the end of each lap.
-
-    Lap k, from 0 on, lasts from entry k to entry k + 1, where the progress first reaches k + 1
-    lengths of the path; between two steps it grows linearly. A robot that starts behind or beyond
-    the line has a longer or a shorter first lap. The last entry is the end of the last completed
-    lap. An open path has only the start.
-    """
+    """Return the times at which laps begin (L + 1,) [s]: the start, and the end of each completed
+    lap, where the progress first reaches its number of lengths; between two steps it grows
+    linearly. An open path has only the start."""
     time, progress = recording.time, np.asarray(recording.progress, np.float64)
     starts, laps = [0.0], num_laps(recording)
     for number in range(1, laps + 1):

@@ -193,12 +193,9 @@ def _add_obstacles(axes: "Axes", recording: PathData) -> None:
 
 
 def thick_outline(corners: np.ndarray, radius: float) -> "Path":
-    """Return the outline of a polygon inflated by a radius [m], as counterclockwise pieces.
-
-    Filled by the nonzero rule they give their union: the polygon, a strip along each of its edges
-    and a disc around each of its corners. The corners (V, 2) are in order, in either direction [m];
-    a single corner gives a disc.
-    """
+    """Return the outline of a polygon (V, 2), or of a point, inflated by a radius [m], as
+    counterclockwise pieces. Filled by the nonzero rule they give their union: the polygon, a strip
+    along each of its edges and a disc around each of its corners."""
     from matplotlib.path import Path
 
     points = np.asarray(corners, np.float64)

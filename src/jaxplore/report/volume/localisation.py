@@ -17,14 +17,9 @@ ERRORS = ("ate", "odometry_ate", "rpe", "greatest_error")
 def flight_errors(
     positions: _Floats, headings: _Floats, estimate: _Floats, reckoned: _Floats
 ) -> dict[str, float | None]:
-    """Return the errors of a flight of N > 0 steps, as in `VolumeMetrics`.
-
-    Args:
-        positions: true positions (N, 3), with z up [m].
-        headings: true yaws (N,) [rad].
-        estimate: estimated poses (N, 4) as (x, y, z, yaw) [m, m, m, rad].
-        reckoned: the same by the odometry alone.
-    """
+    """Return the errors of a flight of N > 0 steps, as in `VolumeMetrics`, by its true positions
+    (N, 3) and yaws (N,), and by poses (N, 4) as (x, y, z, yaw), z up, as estimated and by the
+    odometry alone."""
     true = np.column_stack([positions, headings]).astype(np.float64)
     found, alone = np.asarray(estimate, np.float64), np.asarray(reckoned, np.float64)
     return {

@@ -145,14 +145,9 @@ class VolumeRecording(VolumeData, Recording):
         return {"turntable.gif": partial(write_turntable, self)}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the content of `arrays.npz`: plain arrays, no pickles.
-
-        Each field of `VolumeRecord` under its name, one row per step; `time` (N + 1,) [s],
-        `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `observable` (D, H, W),
-        `origin`, `resolution`, `control_period`, `start`, `state_names`, with
-        a goal `goal` (3,), and with keep-out boxes `boxes` (B, 6) [m]. Each field of the record of
-        a part is there under its name, and what `PartReport.arrays` returns.
-        """
+        """Return the content of `arrays.npz`: plain arrays, no pickles. Each field of
+        `VolumeRecord` and of the parts' records stands there under its name, one row per step;
+        `time` (N + 1,) [s] and `positions` (N + 1, 3) [m] with z up belong to instants."""
         steps = {name: rows for name, rows in self.records._asdict().items() if rows is not None}
         return {
             **self.part_arrays(steps.pop("parts", {})),

@@ -97,13 +97,9 @@ class SpacePicture:
         edges: Sequence[np.ndarray] = (),
         marks: Sequence[tuple[np.ndarray, Colour]] = (),
     ) -> Image.Image:
-        """Draw voxels, the farthest first, and over them the path and the plan of the robot.
-
-        The points (N, 3) are the middles of the voxels [m], and `side` is that of a voxel [m]. The
-        path (M, 3), the plan (T, 3) and the goal (3,) are positions [m]. The viewer looks in the
-        direction `azimuth` [rad]. `edges` (2, 3) are those of keep-out boxes [m]. `marks` are the
-        places (3,) [m] and colours of squares.
-        """
+        """Draw voxels by their middles (N, 3), the farthest first, and over them the path (M, 3)
+        and the plan (T, 3), seen in the direction `azimuth` [rad]. `edges` (2, 3) are those of
+        keep-out boxes, and `marks` the places (3,) and colours of squares [m]."""
         width, height = self.size
         image = np.full((height, width, 3), 255, np.uint8)
         pixels, near = self.project(points, azimuth)

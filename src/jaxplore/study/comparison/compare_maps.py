@@ -158,10 +158,8 @@ def run_episodes(
 
     Failed ones are run again. Those of one map and variant run one after the other if possible,
     because they share a compiled program. Ctrl-C keeps finished runs. Only this process writes to
-    the store, and it calls `on_done` after each episode.
-
-    The runner is this process when None, and is closed at the end. Other processes import `make`,
-    which runs a batch, by name.
+    the store, and it calls `on_done` after each episode. The runner is this process when None, and
+    is closed at the end. Other processes import `make`, which runs a batch, by name.
     """
     left = make_batches(each for each in episodes if not store.is_done(each.id))
     num_left = sum(map(len, left))

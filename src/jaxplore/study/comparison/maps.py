@@ -25,12 +25,9 @@ Start = tuple[float, ...]
 
 @dataclasses.dataclass(frozen=True)
 class MapFile:
-    """A map, a volume or a path: its name in the results, and the absolute path of its file.
-
-    `content` is a hash of that file and of what belongs to it; a missing image counts as an empty
-    one. The path of a generated one is its name, and its content is empty. `selector` is the
-    setting that names it. The start is a pose; that of the kind of task when None.
-    """
+    """A map, a volume or a path: its name in the results, the absolute path of its file, a hash of
+    that file and of what belongs to it, a start if it has its own, and the setting that names it.
+    The path of a generated one is its name, and its content is empty."""
 
     name: str
     path: str

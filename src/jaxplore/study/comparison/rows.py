@@ -89,11 +89,8 @@ def make_row(
     *,
     settings: RunSettings,
 ) -> Row:
-    """Make the row of a run from its recording, its metrics and its settings, with the start.
-
-    Raises:
-        ValueError: a recording that has no `course`.
-    """
+    """Make the row of a run from its recording, its metrics and its settings, with the start. A
+    recording without a `course` raises a `ValueError`."""
     course = recording.course()
     if course is None:
         raise ValueError(

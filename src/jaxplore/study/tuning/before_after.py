@@ -52,12 +52,8 @@ def side_by_side(
     options: FilmOptions,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> bytes:
-    """Return a GIF of several runs side by side, at the same simulated time.
-
-    A finished run keeps its last frame while the others continue. Recordings are by title, from
-    left to right. Each picture has its title as caption, and the last one the speed of the film.
-    `on_progress` is called with the share that is done, 0 to 1.
-    """
+    """Return a GIF of several runs side by side, at the same simulated time, by title from left to
+    right. A finished run keeps its last frame. The last caption has the speed of the film."""
     runs = list(recordings.values())
     instants = [[frame.time for frame in each.frames] for each in runs]
     shown = evenly_chosen(sorted(set().union(*instants)), min(FRAMES, options.max_frames))

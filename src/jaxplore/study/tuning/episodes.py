@@ -103,12 +103,9 @@ class Episodes(abc.ABC):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MetricsTask(EpisodeTask):
-    """A task that runs episodes of several candidates with the same scenario, seed and sizes.
-
-    `build` makes the experiment of an episode from it and from the setting that locates the map or
-    path. Other processes import it by name. `together` runs the batch; without it the episodes run
-    one after the other.
-    """
+    """A task that runs episodes of several candidates with the same scenario, seed and sizes, by
+    `together`, or one after the other. `build`, which other processes import by name, makes the
+    experiment of an episode from it and from the setting that locates the map or path."""
 
     episodes: tuple[Episode, ...]
     build: Callable[[Episode, Mapping[str, Any]], Experiment]

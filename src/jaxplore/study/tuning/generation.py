@@ -18,12 +18,10 @@ type Limits = Mapping[Where, float]
 
 
 class Generations:
-    """Evaluation of generations, one after the other; the current values are the first candidate.
-
-    A search can be continued after an interruption at any time: candidates are stored before they
-    are evaluated, episodes when they are finished, and the final states of a whole generation
-    before any of its candidates is reported to Optuna.
-    """
+    """Evaluation of generations, one after the other; the current values are the first candidate. A
+    search can be continued after an interruption at any time: candidates are stored before they are
+    evaluated, episodes when finished, and the final states of a generation before any of its
+    candidates is reported to Optuna."""
 
     def __init__(self, search: Search, episodes: Episodes, study: Any, start: Candidate) -> None:
         self._search, self._episodes, self._study = search, episodes, study
@@ -40,12 +38,9 @@ class Generations:
         limits: Limits,
         show: Callable[[int], None],
     ) -> None:
-        """Evaluate a generation, or the rest of it.
-
-        `ask` returns its candidates; it is called if some are not stored. Each episode is stopped
-        after its limit [s]. `show` is called with the number of finished candidates, after each
-        episode and at the end. After Ctrl-C finished episodes stay stored.
-        """
+        """Evaluate a generation, or the rest of it. `ask` returns its candidates if some are not
+        stored. `show` is called with the number of finished ones, after each episode and at the
+        end. After Ctrl-C finished episodes stay stored."""
         trials = self._open_trials(numbers, ask)
         known = {each.number: read_episodes(each.user_attrs) for each in trials}
         decided = {each.number for each in trials if VERDICT in each.user_attrs}

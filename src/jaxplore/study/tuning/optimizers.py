@@ -30,12 +30,9 @@ NAMES = (*OPTUNA, *EVOSAX, *PYRIBS)
 
 
 class Evaluated(NamedTuple):
-    """An evaluated candidate.
-
-    Its rank in its generation is 0 for the best; candidates that were stopped early or failed come
-    last. The state is "done", "given up" or "failed". `values` are those of the objectives, empty
-    if it failed, and `measures` those of the measures of quality diversity.
-    """
+    """An evaluated candidate: "done", "given up" or "failed", with its rank in its generation, 0
+    for the best and last for one that was stopped or failed; the values of the objectives, none if
+    it failed, and of the measures of quality diversity."""
 
     candidate: Candidate
     rank: float
@@ -47,10 +44,9 @@ class Evaluated(NamedTuple):
 
 class Optimizer(abc.ABC):
     """An optimizer with the ask-and-tell interface, which proposes generations of candidates.
-
-    Random numbers depend on its seed and the number of the generation only. So a study that
-    continues replays the former generations and gets the same proposals as without an interruption.
-    """
+    Random numbers depend on its seed and the number of the generation only, so a study that
+    continues replays the former generations and gets the proposals of one without an
+    interruption."""
 
     @abc.abstractmethod
     def ask(self) -> list[Candidate]:
@@ -222,14 +218,10 @@ def reflect(places: np.ndarray) -> np.ndarray:
 
 
 class RibsOptimizer(Optimizer):
-    """Quality diversity by CMA-ME of pyribs: the best candidate of each cell of the measures.
-
-    The start is the initial mean. Each measure has a lower and an upper bound in `ranges`, and a
-    number of cells.
-
-    Source: Fontaine, Togelius, Nikolaidis, Hoover, "Covariance matrix adaptation for the rapid
-    illumination of behavior space", GECCO 2020.
-    """
+    """Quality diversity by CMA-ME of pyribs: the best candidate of each cell of the measures. The
+    start is the initial mean. Each measure has a lower and an upper bound in `ranges`, and a number
+    of cells. Source: Fontaine, Togelius, Nikolaidis, Hoover, "Covariance matrix adaptation for the
+    rapid illumination of behavior space", GECCO 2020."""
 
     def __init__(
         self,

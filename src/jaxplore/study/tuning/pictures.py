@@ -21,13 +21,8 @@ _FEW_DECADES = 300.0
 
 
 def importances(study: Study) -> dict[str, float]:
-    """Compute the importance of each parameter for the first objective by PED-ANOVA.
-
-    Importances add up to 1. The result is empty if too few candidates have a value.
-
-    Source: Watanabe, Bansal, Hutter, "PED-ANOVA: efficiently quantifying hyperparameter importance
-    in arbitrary subspaces", IJCAI 2023.
-    """
+    """Compute the importance of each parameter for the first objective by PED-ANOVA (Watanabe,
+    Bansal, Hutter, IJCAI 2023). They add up to 1; empty if too few candidates have a value."""
     module = import_optional("optuna.importance", "tuning")
     done = [each for each in study.trials() if each.state == "done"]
     if len(done) < 10 or len({each.values[0] for each in done}) < 2:

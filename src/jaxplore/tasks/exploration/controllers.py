@@ -45,12 +45,8 @@ from jaxplore.tasks.user_code import import_controller, import_rule
 def build_controller(
     settings: Settings, world: RunWorld, scenario: ExplorationScenario
 ) -> Controller:
-    """Build the controller of the architecture that settings name.
-
-    Raises:
-        ValueError: an architecture that the world does not allow, settings that a part rejects, or
-            an architecture of the user's own that is none.
-    """
+    """Build the controller of the architecture that settings name, which the world may not
+    allow."""
     robot, perception = scenario.robot, scenario.perception
     _check_errands(settings, scenario)
     told = control_arguments(settings, surroundings(settings, world, float(robot.radius)))
@@ -90,11 +86,8 @@ def build_controller(
 
 
 def _check_errands(settings: Settings, scenario: ExplorationScenario) -> None:
-    """Check that a robot whose parts send it somewhere follows the guidance field.
-
-    Raises:
-        ValueError: an architecture that does not, or a goal that a portfolio has apart.
-    """
+    """Check that a robot whose parts send it somewhere follows the guidance field: neither the
+    architecture nor the goal of a portfolio may be apart from it."""
     sent = [part.name for part in scenario.perception.parts if part.has_errands]
     if not sent or is_own(settings.architecture):
         return

@@ -36,15 +36,8 @@ def build_fleet(
     controller: Controller,
     datum: Datum,
 ) -> tuple[FleetController, Fleet]:
-    """Build the controller and the scenario of a fleet of equal robots.
-
-    The scenario and the controller that are given are those of one robot. All positions of the
-    fleet are relative to the datum.
-
-    Raises:
-        ValueError: a target that a fleet does not end by, more robots than there is room for,
-            starts that are not possible, or another number of them.
-    """
+    """Build the controller and the scenario of a fleet of equal robots from those of one robot. All
+    positions of the fleet are relative to the datum."""
     if settings.target not in (None, "coverage", "never"):
         raise ValueError(
             f"target is {settings.target!r}; accepted in a fleet: coverage, never: another robot "

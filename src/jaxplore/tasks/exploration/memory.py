@@ -35,13 +35,8 @@ class MapSize(NamedTuple):
 def estimate_exploration(
     settings: Settings, _: float = math.inf, node: NodeSettings | None = None
 ) -> tuple[Part, ...]:
-    """Estimate the memory of a run, part by part.
-
-    `node` holds the settings of a drive, whose robot makes a map of its own; None for a simulation.
-
-    Raises:
-        ValueError: a map or a world that cannot be read.
-    """
+    """Estimate the memory of a run, part by part. `node` holds the settings of a drive, whose robot
+    makes a map of its own; None for a simulation."""
     parts = _exploration(settings, node)
     number = 1 if settings.fleet is None else settings.fleet.robots
     # Each robot has all of it, and a map of what it has heard of each other one.

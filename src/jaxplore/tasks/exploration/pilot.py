@@ -131,14 +131,8 @@ def build_goal_chooser(settings: Settings) -> GoalChooser:
 
 
 def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = True) -> Pilot:
-    """Build the pilot that settings describe.
-
-    `is_obeyed` says whether the robot executes the commands; it does not in a replay.
-
-    Raises:
-        ValueError: settings that a part rejects, a robot that flies, or a localisation that is not
-            by matching or of whose uncertainty plans shall know.
-    """
+    """Build the pilot that settings describe. `is_obeyed` says whether the robot executes the
+    commands; it does not in a replay."""
     localisation, settings = _localisation(settings, node)
     robot = build_robot(settings.robot)
     if "z" in robot.state_names:

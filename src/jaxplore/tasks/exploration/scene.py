@@ -23,12 +23,9 @@ RAY = blend(LIDAR_RAY, FREE, 0.6)
 
 
 class ExplorationScene(Scene):
-    """The belief, marks of parts and what moves.
-
-    Of one robot also the information, the scan and what all tasks show. Of several robots the
-    belief is what they know together, and each has its colour, with its way and plan. It reads
-    nothing of the true world, which a robot does not know.
-    """
+    """The belief, marks of parts and what moves; of one robot also the information, the scan and
+    what all tasks show. Of several robots the belief is what they know together, and each has its
+    colour, way and plan. It reads nothing of the true world, which a robot does not know."""
 
     layers: tuple[str, ...] = (
         "belief",

@@ -248,11 +248,7 @@ def is_scenario_file(path: str | os.PathLike[str]) -> bool:
 
 
 def make_exploration_settings(entries: dict[str, Any]) -> Settings:
-    """Check settings entries of an exploration run, and fill in defaults.
-
-    Raises:
-        ValueError: an unknown name or a value that is not accepted; one line that names it.
-    """
+    """Check settings entries of an exploration run, and fill in defaults."""
     entries = _with_defaults(entries)
     # The other architectures have no section `controller`, or drive with it inside of another one.
     explored_by = ExplorationSettings.model_fields["architecture"].default

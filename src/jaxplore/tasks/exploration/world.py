@@ -46,12 +46,7 @@ class RunWorld(NamedTuple):
 
 
 def build_world(settings: Settings, radius: float) -> RunWorld:
-    """Build the world of a run. A robot of a radius [m] must fit where the start is chosen.
-
-    Raises:
-        ValueError: a map, world or height map that cannot be read; a start that is not given, on a
-            map without a place for the robot; a goal beside `returns`.
-    """
+    """Build the world of a run. A robot of a radius [m] must fit where the start is chosen."""
     world = _find_world(settings, radius)
     if settings.returns:
         if world.goal is not None or settings.fleet is not None:

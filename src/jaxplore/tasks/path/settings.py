@@ -187,9 +187,5 @@ PathFollowingSettings = with_capabilities(PathSettings, dimensions=1)
 
 
 def make_path_settings(entries: dict[str, Any]) -> PathSettings:
-    """Check settings entries of a path-following run, and fill in defaults.
-
-    Raises:
-        ValueError: an unknown name or a value that is not accepted; one line that names it.
-    """
+    """Check settings entries of a path-following run, and fill in defaults."""
     return check_section(PathFollowingSettings, under_their_settings(entries, ContouringSettings))

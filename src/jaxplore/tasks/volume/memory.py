@@ -15,11 +15,7 @@ _READING = 0.5
 
 
 def estimate_volume(settings: VolumeSettings, limit: float) -> tuple[Part, ...]:
-    """Estimate the memory of a run, part by part. A file is read with at most half of `limit`.
-
-    Raises:
-        ValueError: a volume that cannot be read, or not within the memory.
-    """
+    """Estimate the memory of a run, part by part. A file is read with at most half of `limit`."""
     return (estimate_programs(), *_volume(settings, limit))
 
 

@@ -282,11 +282,7 @@ VolumeExplorationSettings = with_capabilities(VolumeSettings, dimensions=3)
 
 
 def make_volume_settings(entries: dict[str, Any]) -> VolumeSettings:
-    """Check settings entries of the exploration of a volume, and fill in defaults.
-
-    Raises:
-        ValueError: an unknown name or a value that is not accepted; one line that names it.
-    """
+    """Check settings entries of the exploration of a volume, and fill in defaults."""
     if entries.get(VOLUME) == VOLUME:
         entries = {name: value for name, value in entries.items() if name != VOLUME}
     settings = check_section(VolumeExplorationSettings, entries)
