@@ -357,7 +357,6 @@ class ObstacleTracker(eqx.Module):
         return jnp.where(is_somebody, fastest, 0.0)
 
     def _predict(self, tracks: Tracks, elapsed: Scalar) -> Tracks:
-        """Return the tracks after a time without a measurement."""
         step = jnp.asarray([[1.0, 0.0], [0.0, 1.0]]).at[0, 1].set(elapsed)
         noise = self.agility * jnp.stack(
             [

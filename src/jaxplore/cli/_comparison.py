@@ -158,7 +158,6 @@ def _shared_settings(entries: dict[str, Any], runs: Iterable[RunSettings]) -> di
 
 
 def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:
-    """Check that all architectures drive the same robot."""
     names = {name: getattr(each, "architecture", None) for name, each in settings.items()}
     ground = [name for name, architecture in names.items() if architecture not in QUADROTOR]
     robots = [each.model_dump(include={"robot", "lidar"}) for each in settings.values()]
@@ -244,7 +243,6 @@ def _default_folder(maps: str) -> Path:
 
 
 def _show(found: MapComparison) -> None:
-    """Print the tables, the paths of the files, and the missing runs."""
     for table in found.tables:
         say(table.title)
         print_table(table.rows, has_lines=True)

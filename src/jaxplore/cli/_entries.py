@@ -86,7 +86,6 @@ def with_samples(
 def _with_place(
     entries: dict[str, Any], name: str | None, path: str | None, trust: bool
 ) -> dict[str, Any]:
-    """Add the map, the path or the volume that the options name to settings entries."""
     if path is not None and name not in (None, PATH):
         raise ValueError(f"--path is {path!r} beside the map {name!r}; accepted: one of them")
     if path is not None:

@@ -104,7 +104,6 @@ def map_a_log(file: Path, out: Path | None, options: MapLogOptions) -> None:
 
 
 def _write(mapped: LogMap, metrics: dict[str, object], folder: Path, *, overwrite: bool) -> None:
-    """Write the folder, whole or not at all."""
     grid = mapped.map
     origin = np.asarray(grid.frame.origin, np.float64) + np.append(mapped.start, 0.0)
     with run_folder(folder, overwrite=overwrite) as hidden:

@@ -135,7 +135,6 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
 
 
 def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Path]:
-    """Return the checked settings of a drive, and the folder that it will be written to."""
     limit = memory_limit(options)
     file, out = options["settings_file"], options["out"]
     entries = {} if file is None else read_settings(file, is_trusted=options["trust"])
@@ -160,7 +159,6 @@ def _save_drive(
     folder: Path,
     options: dict[str, Any],
 ) -> None:
-    """Write the run folder of a drive, with its commands, and print its metrics."""
     run = Run(recording, recording.metrics(seed=settings.seed))
     kept = {**read_values(settings), "node": node.model_dump(mode="json")}
     del kept["map"]
@@ -172,7 +170,6 @@ def _save_drive(
 
 
 def _monitors(options: dict[str, Any], folder: Path, stack: ExitStack) -> list[Monitor]:
-    """Open the live view and the recorder that the options ask for."""
     monitors: list[Monitor] = []
     wanted = {name: options[name] for name in VIEW}
     if any(each is not None for each in wanted.values()):

@@ -17,7 +17,6 @@ class _Output(io.FileIO):
         self._is_required = is_required
 
     def write(self, data: Buffer) -> int:
-        """Write data; return the number of bytes."""
         try:
             return super().write(data)
         except OSError as error:

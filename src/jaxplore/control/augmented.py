@@ -117,7 +117,6 @@ class AugmentedProposal(Proposal):
                 raise ValueError(f"{name} proposal: {error}") from None
 
     def _parts(self, samples: Samples) -> tuple[Float[Array, "P np K"], Float[Array, "P nv K"]]:
-        """Split samples into those of the physical and of the virtual controls."""
         return samples[:, : self.physical_size], samples[:, self.physical_size :]
 
     def _part_contexts(self, context: SamplingContext) -> tuple[SamplingContext, SamplingContext]:

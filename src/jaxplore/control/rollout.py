@@ -208,7 +208,6 @@ class _RolloutTask(NamedTuple):
 
     @property
     def num_outcomes(self) -> int:
-        """Number of outcomes of each control sequence, M."""
         return int(jax.tree.leaves(self.drawn)[0].shape[1])
 
     @property
@@ -217,7 +216,6 @@ class _RolloutTask(NamedTuple):
         return 0 if self.outcomes is not None and self.outcomes.disturbance.moves_robot else None
 
     def belief_in(self, draw: Any) -> Any:
-        """Return the belief of one outcome."""
         outcomes = self.outcomes
         return self.belief if outcomes is None else outcomes.disturbance.belief(self.belief, draw)
 

@@ -301,7 +301,6 @@ class _Surroundings(NamedTuple):
         return jnp.minimum(least, self.room(place) - robot.footprint.radius)
 
     def wall_gap(self, robot: Dynamics, place: Float[Array, "3"]) -> Scalar:
-        """Return the distance of the robot's edge from the nearest wall."""
         if self.walls is None:
             return jnp.asarray(jnp.inf)
         least = _least_gap(self.walls, jnp.zeros(self.walls.shape[0]), place, robot)

@@ -231,5 +231,4 @@ class NamedCost(Cost):
 
 
 def _in_brackets(cost: Cost) -> str:
-    """Describe a cost as an operand."""
     return f"({cost!r})" if isinstance(cost, (SumCost, WeightedCost)) else repr(cost)

@@ -164,7 +164,6 @@ class ControlJerkCost(ControlDifferenceCost):
 
 
 def _inverse_squares(scale: Array | None, dynamics: Dynamics) -> ControlVector:
-    """Compute 1 / scale^2 (nu,)."""
     if scale is None:
         # A fixed control has no range. An infinite range gives an inverse of 0.
         span = dynamics.control_max - dynamics.control_min
@@ -177,7 +176,6 @@ def _inverse_squares(scale: Array | None, dynamics: Dynamics) -> ControlVector:
 
 
 def _check_size(name: str, value: Array, dynamics: Dynamics) -> None:
-    """Raise a `ValueError` if a vector does not have one entry per control of the model."""
     size = dynamics.control_size
     if value.shape[0] != size:
         raise ValueError(

@@ -243,7 +243,6 @@ class _Curve(NamedTuple):
 
 
 def _curve(knots: np.ndarray, method: str, boundary: str, is_closed: bool) -> _Curve:
-    """Return the spline through waypoints."""
     chords = np.hypot(*np.diff(knots, axis=0).T)
     at = np.concatenate([[0.0], np.cumsum(chords)])
     spline, slope, second = _spline(at, knots, method, boundary, is_closed)
@@ -286,7 +285,6 @@ def _curve(knots: np.ndarray, method: str, boundary: str, is_closed: bool) -> _C
 
 
 def _join(curves: list[_Curve]) -> _Curve:
-    """Return curves one after the other."""
     starts = np.concatenate([[0.0], np.cumsum([each.length for each in curves])])
     chords = np.concatenate([[0.0], np.cumsum([each.at[-1] for each in curves])])
 

@@ -94,7 +94,6 @@ def build_environment(
 
 
 def _check_settings(scenario: object, settings: dict[str, Any]) -> RunSettings:
-    """Check the settings, and merge them over the defaults of an environment."""
     if "seed" in settings:
         raise ValueError(
             f"seed is {settings['seed']!r} among the settings of an environment; accepted: a seed "
@@ -122,7 +121,6 @@ def _check_settings(scenario: object, settings: dict[str, Any]) -> RunSettings:
 
 
 def _scenarios(settings: RunSettings, num_floors: int) -> list[Scenario]:
-    """Build the scenarios of settings, one for each floor."""
     number = _checks.positive_int("num_floors", num_floors, at_most=MOST_AT_ONCE)
     if number == 1:
         return [build(settings).scenario]

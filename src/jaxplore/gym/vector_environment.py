@@ -144,7 +144,6 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         return list(seed)
 
     def _begin(self, mask: np.ndarray, seeds: list[int | None], choice: Any) -> None:
-        """Reset the environments that a mask selects."""
         fresh: list[EnvironmentState] = []
         places = [int(index) for index in np.flatnonzero(mask)]
         for place in places:

@@ -68,13 +68,11 @@ def update_clearance(
 
 
 def _reach(max_distance: float, resolution: float) -> int:
-    """Return the number of cells over which a bound reaches."""
     # Distances are reduced by half a cell, so the search reaches that much farther.
     return max(1, math.ceil(max_distance / resolution + 0.5))
 
 
 def _distances(blocked: GridMask, resolution: float, max_distance: float) -> GridValues:
-    """Return the distances (H, W) of `clearance_field` [m]."""
     reach = _reach(max_distance, resolution)
     far = float((reach + 1) ** 2)
     # Start with a value beyond the bound instead of infinity, which would spoil the sums.

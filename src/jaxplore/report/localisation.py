@@ -341,7 +341,6 @@ def _check_maps(
 
 
 def _wrap_angle(angle: _Floats) -> _Floats:
-    """Return angles in [-pi, pi] [rad]."""
     wrapped: _Floats = angle - math.tau * np.round(angle / math.tau)
     return wrapped
 
@@ -377,7 +376,6 @@ def _are_near(cells: _Cells, others: _Cells, reach: float) -> int:
 
 
 def _centres(cells: _Cells, grid: OccupancyGrid) -> _Floats:
-    """Return the centres (N, 2) of cells (row, column) in the world [m]."""
     origin = np.asarray(grid.frame.origin, np.float64)
     frame = Alignment(float(origin[2]), origin[:2])
     return frame.apply((cells[:, ::-1] + 0.5) * grid.resolution)

@@ -51,8 +51,6 @@ class _Hub:
 
 @dataclasses.dataclass(frozen=True)
 class _Failure:
-    """Why a part of a run failed."""
-
     reason: str
 
 

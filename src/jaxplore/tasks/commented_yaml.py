@@ -41,7 +41,6 @@ def to_commented_yaml(settings: RunSettings) -> str:
 
 
 def _setting(row: Row, value: object) -> Iterator[str]:
-    """Yield the lines of a setting."""
     yield from _comment(f"{_sentence(row.meaning)} Accepted: {row.accepted}.")
     # Innermost lists stand in one line, and a single value without braces.
     style = None if isinstance(value, list | dict) and value else False

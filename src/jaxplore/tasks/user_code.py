@@ -105,7 +105,6 @@ def _find(setting: str, name: str) -> Any:
 
 
 def _module(setting: str, name: str) -> ModuleType:
-    """Import the module of a name from the Python path or the current folder."""
     # A program like `jaxplore` has the folder of the program on its path and not the current one.
     # Last, so that no file of the user's takes the place of an installed module. Processes of this
     # one get the same path.

@@ -102,7 +102,6 @@ class _NoTracebacks(logging.Filter):
     port can send bytes that are none of its messages. Errors of our own callbacks are kept."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether a record is kept."""
         modules, trace = [], record.exc_info[2] if record.exc_info else None
         while trace is not None:
             modules.append(str(trace.tb_frame.f_globals.get("__name__", "")).partition(".")[0])

@@ -106,7 +106,6 @@ def path_datum(path: str | PathLike[str]) -> Datum:
 
 @_kinds.check_arguments
 def _rows(path: str | PathLike[str]) -> np.ndarray:
-    """Return the waypoints of a file, in double precision."""
     file = FilePath(path)
     where = printable_path(file)
     suffix = file.suffix.lower()

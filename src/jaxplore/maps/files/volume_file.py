@@ -202,7 +202,6 @@ def _geometry_volume(
     name: str,
     refuse: Refuse,
 ) -> VolumeFile:
-    """Return the volume of a mesh or a point cloud."""
     corners, faces = geometry.corners, geometry.faces
     is_cloud = not len(faces)
     if is_cloud and kind not in _CLOUDS:
@@ -235,7 +234,6 @@ def _geometry_volume(
 
 
 def _area(corners: Points, faces: NDArray[np.int32]) -> float:
-    """Return the area of all triangles together."""
     total = 0.0
     for begin in range(0, len(faces), 1 << 16):
         first, second, third = np.moveaxis(corners[faces[begin : begin + (1 << 16)]], 1, 0)

@@ -131,7 +131,6 @@ def _extent(size: tuple[float, float]) -> tuple[float, float]:
 def _add_crates(
     rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float
 ) -> None:
-    """Place crates in the rooms and the corridor of an office."""
 
     def draw(rng: np.random.Generator) -> Mask:
         return block(

@@ -75,7 +75,6 @@ def generate_volume(
 def _forest(
     solid: Solid, size: np.ndarray, side: float, rng: np.random.Generator, block: Block
 ) -> None:
-    """Plant trunks."""
     y, x = (np.arange(n) + 0.5 for n in solid.shape[1:])
     y, x = np.meshgrid(y * side, x * side, indexing="ij")
     for _ in range(round(0.15 * size[0] * size[1])):

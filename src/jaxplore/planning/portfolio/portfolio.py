@@ -314,7 +314,6 @@ class Portfolio(Controller):
         observation: StateVector,
         belief: Any,
     ) -> tuple[Candidates, Fused, Any]:
-        """Evaluate the plans under the common objective and fuse them."""
         objective = self._common_objective(state, spread, observation, belief)
         costs, hazards = objective(plans.controls)
         candidates = Candidates(plans.controls, costs, hazards, plans.uncertainties)
@@ -325,7 +324,6 @@ class Portfolio(Controller):
         return candidates, fused, memory
 
     def _info(self, plans: MemberPlans, candidates: Candidates, fused: Fused) -> Info:
-        """Collect the diagnostics of a step."""
         infos, number = plans.infos, len(self.member_names)
         # The rollouts of all members count as one set, in which each member has the same share.
         share = jnp.full(number, 1.0 / number)[:, None]

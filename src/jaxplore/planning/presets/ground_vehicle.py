@@ -266,7 +266,6 @@ def _weights(
     mission: Mission,
     effort: float,
 ) -> dict[str, dict[str, float]]:
-    """Return the weights of the objectives of each member."""
     balanced = ROLE_WEIGHTS["balanced"]
     known: dict[str, Weights] = {
         "roles": ROLE_WEIGHTS,

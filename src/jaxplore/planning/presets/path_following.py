@@ -308,7 +308,6 @@ def mpcc(
 def _comfort(
     robot: Dynamics, weight: ArrayLike, max_lateral: ArrayLike, max_longitudinal: ArrayLike
 ) -> Cost:
-    """Build the cost of accelerations beyond the free ones."""
     if not isinstance(robot, ContinuousDynamics):
         raise ValueError(
             f"comfort_weight is {weight!r} for {type(robot).__name__}, which has no time "
@@ -323,7 +322,6 @@ def _comfort(
 
 
 def _bound(robot: Dynamics) -> ArrayLike:
-    """Return the greatest speed of a robot [m/s]."""
     speed = bound_of_speed(robot)
     if speed is None:
         raise ValueError(

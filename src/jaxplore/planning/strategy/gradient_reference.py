@@ -117,7 +117,6 @@ def _climb(
 
 
 def _rotate(x: Scalar, y: Scalar, yaw: Scalar) -> Position:
-    """Rotate a vector by an angle [rad]."""
     cos, sin = jnp.cos(yaw), jnp.sin(yaw)
     return jnp.stack([cos * x - sin * y, sin * x + cos * y])
 

@@ -187,7 +187,6 @@ class Targets(eqx.Module):
         return TargetScores(score, index, jnp.append(centres, self.goal[None], axis=0)[index])
 
     def _roads(self, belief: Belief) -> Roadmap:
-        """Return the road map of the places where the robot fits."""
         return self.locomotion.roadmap(belief.clearance, self.required_clearance, self.stride)
 
     def _sources(self, belief: Belief, roads: Roadmap, target: GridMask) -> Float[Array, "H W"]:

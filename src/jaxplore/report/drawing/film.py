@@ -105,7 +105,6 @@ class Film:
     suffix: str
 
     def _repr_html_(self) -> str:
-        """Return the film as HTML, for notebooks."""
         code = base64.b64encode(self.data).decode()
         if self.suffix == GIF:
             return f'<img alt="film of the run" src="data:image/gif;base64,{code}">'
@@ -129,7 +128,6 @@ def check_film(path: str | PathLike[str], options: FilmOptions, *, name: str = "
 
 
 def _ffmpeg() -> str:
-    """Return the path of the ffmpeg program."""
     module = import_optional("imageio_ffmpeg", "video")
     try:
         return str(module.get_ffmpeg_exe())

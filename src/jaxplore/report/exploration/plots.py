@@ -156,7 +156,6 @@ def _add_track(axes: "Axes", robot: RobotRun, window: Window, *, is_one: bool) -
 def _draw_missed_walls(
     axes: "Axes", recording: ExplorationData, window: Window, unseen: np.ndarray
 ) -> None:
-    """Draw the outline of the walls that the belief lacks."""
     from matplotlib.collections import LineCollection
 
     missed = true_outline(recording, window, unseen) + window.corner

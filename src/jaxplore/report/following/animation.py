@@ -171,7 +171,6 @@ def _draw(canvas: PathCanvas, frame: PathFrame) -> Image.Image:
 
 
 def _draw_course(canvas: PathCanvas, view: View) -> Image.Image:
-    """Draw the corridor and the path."""
     edges = canvas.edges
     # An infinite edge has no ground outside.
     is_bounded = len(edges) > 0 and bool(np.isfinite(edges).all())
@@ -242,7 +241,6 @@ def _draw_obstacle(
 
 
 def _draw_footer(canvas: PathCanvas, frame: PathFrame, footer: Footer) -> None:
-    """Draw speed, time, progress, the scale bar, the legend and the curve of the speed."""
     recording, laps = canvas.recording, num_laps(canvas.recording)
     step = min(frame.step, recording.num_steps)
     footer.headline(f"{canvas.speed[step]:.1f} m/s", "speed")

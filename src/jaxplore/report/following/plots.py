@@ -132,7 +132,6 @@ def _title(recording: PathData) -> str:
 
 
 def _add_course(axes: "Axes", recording: PathData) -> None:
-    """Draw the corridor, where it has two edges, and the path."""
     from matplotlib.collections import PolyCollection
 
     if len(recording.edges):

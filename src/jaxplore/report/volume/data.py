@@ -299,7 +299,6 @@ class VolumeMetrics(PartsMetrics, GuardMetrics):
 
 
 def _pose_errors(data: VolumeData) -> dict[str, Any]:
-    """Return the errors of where a robot took itself to be, as in `VolumeMetrics`."""
     found, alone = data.records.estimate, data.records.reckoned
     if found is None or alone is None or not data.num_steps:
         return dict.fromkeys(ERRORS)

@@ -187,7 +187,6 @@ def _runs(
     kind: Kind,
     common: Entries,
 ) -> dict[tuple[str, str], dict[str, Any]]:
-    """Return the entries of each variant on each map, by their names."""
     runs = {}
     for name, entries in variant_entries(variants, kind).items():
         # `common_settings` leaves out the architecture, which here belongs to the variant.
@@ -255,7 +254,6 @@ def common_settings(settings: Mapping[str, Any], kind: Kind | None = None) -> di
 
 
 def _check_same_robot(settings: Mapping[str, RunSettings], sections: Sequence[str]) -> None:
-    """Check that all variants have the same robot, sensors and rates."""
     first, *others = settings
     for other in others:
         for section in sections:

@@ -247,7 +247,6 @@ def _ink(number: int, robots: int) -> str:
 
 
 def _colour(grid: OccupancyGrid, part: Part) -> np.ndarray:
-    """Colour a part of a map (rows, columns, 3)."""
     colours: np.ndarray = belief_colours()[
         np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)
     ]
@@ -323,5 +322,4 @@ def _png(picture: np.ndarray) -> str:
 
 
 def _url(picture: bytes) -> str:
-    """Return a PNG as a data URL."""
     return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"

@@ -24,11 +24,9 @@ class _Named(Episodes):
 
     @property
     def scenarios(self) -> tuple[str, ...]:
-        """Name of the only scenario."""
         return (self._name,)
 
     def start(self, name: str) -> Value:
-        """Return the current value of a parameter."""
         if name not in self._start:
             raise ValueError(
                 f"parameter {name} is not known; accepted: {nearest(name, self._start)}"
@@ -36,7 +34,6 @@ class _Named(Episodes):
         return self._start[name]
 
     def describe(self) -> dict[str, Any]:
-        """Return the name of the scenario and the current values."""
         return {"function": self._name, "start": dict(sorted(self._start.items()))}
 
 

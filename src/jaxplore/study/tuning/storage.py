@@ -100,11 +100,9 @@ class _Journal:
         self._size, self._rest = len(data) - len(rest), len(rest)
 
     def read_logs(self, first: int) -> Iterator[dict[str, Any]]:
-        """Yield the changes from a number on."""
         yield from self._logs[first:]
 
     def append_logs(self, logs: Sequence[dict[str, Any]]) -> None:
-        """Store changes."""
         lines = [json.dumps(each) for each in logs]
         data = "".join(f"{line}\n" for line in lines).encode()
         try:
@@ -154,7 +152,6 @@ def _read_former(
 
 
 def _difference(former: Any, asked: dict[str, Any], folder: str) -> str | None:
-    """Return how two definitions of a study differ, or None if they do not."""
     # The scenarios are compared first: their names explain a mismatch better than a setting.
     ways = [list(each["episodes"].get("scenarios", ())) for each in (former, asked)]
     if ways[0] != ways[1]:

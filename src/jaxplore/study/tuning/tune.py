@@ -127,7 +127,6 @@ def tune(
 
 
 def _objectives(episodes: Episodes, given: str | Sequence[str] | None) -> tuple[Objective, ...]:
-    """Parse the objectives; the default one if none is given."""
     if given is None:
         given = episodes.default_objective
     if not given:

@@ -142,7 +142,6 @@ class _Worker:
         """Return when the worker is ready for a task."""
 
     def run(self, task: Task, keys: Sequence[str], *files: Files) -> Any:
-        """Run a task, whose files come by their keys, and return its result."""
         for key, each in zip(keys, files, strict=True):
             if key not in self._folders:
                 folder = Path(tempfile.mkdtemp(dir=self._top.name))

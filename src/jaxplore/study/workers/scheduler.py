@@ -73,7 +73,6 @@ class Scheduler:
             self._num_starting += 1
 
     def _note(self, event: Event) -> None:
-        """Update the lists of living and idle workers."""
         worker = event.worker
         # A worker that has not been ready yet is one that was starting.
         if worker not in self._last:
@@ -118,7 +117,6 @@ class _Queue[T: Task]:
         return sum(map(len, self._groups.values()))
 
     def has(self, group: Hashable) -> bool:
-        """Check whether tasks of a group are waiting."""
         return bool(self._groups.get(group))
 
     def take(self, last: Task | None, busy: Counter[Hashable]) -> T:

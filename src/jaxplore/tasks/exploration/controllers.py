@@ -188,7 +188,6 @@ def _portfolio(settings: Settings, world: RunWorld, told: dict[str, Any]) -> Por
 
 
 def _fusion(settings: Settings, goal: tuple[float, ...] | None) -> Fusion:
-    """Build the rule that fuses the members' plans."""
     given = settings.portfolio
     if given.fusion == "weighted-vote":
         fusion: Fusion = WeightedVote(**arguments(given, WeightedVote))

@@ -76,7 +76,6 @@ class VolumeScene(Scene):
         )
 
     def _draw_marks(self, frame: VolumeFrame) -> None:
-        """Draw a ball at each place that parts of the robot mark."""
         marks = self._recording.marks(frame)
         shown = [(*place.tolist(), *colour) for place, colour in marks]
         if shown == self._marked:
@@ -106,7 +105,6 @@ class VolumeScene(Scene):
         self._nodes["robot"].position = (x, y, -z)
 
     def _line(self, name: str, points: np.ndarray, colour: Colour, thickness: float) -> None:
-        """Draw a line through points (N, 3) [m]."""
         if len(points) > 1 and np.isfinite(points).all():
             pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
             self.lines(name, pieces, colour, thickness)
