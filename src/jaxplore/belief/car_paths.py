@@ -298,12 +298,10 @@ def trace_path(
             # At its last pose it stays where it is.
             stays = at._replace(along=length, moves=jnp.array(False))
             further = after._replace(along=after.along + along - length)
-            either: Moving = jax.tree.map(lambda a, b: jnp.where(after.moves, a, b), further, stays)
-            return either
+            return jax.tree.map(lambda a, b: jnp.where(after.moves, a, b), further, stays)
 
         is_over = at.moves & (along >= length)
-        after: Moving = jax.lax.cond(is_over, turn_over, lambda at: at._replace(along=along), at)
-        return after
+        return jax.lax.cond(is_over, turn_over, lambda at: at._replace(along=along), at)
 
     def step(at: Moving, _: None) -> tuple[Moving, DrivenPath]:
         at = jax.lax.fori_loop(0, pieces.astype(jnp.int32), piece, at)

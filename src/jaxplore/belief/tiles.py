@@ -82,8 +82,7 @@ def relax_costs(
 
     # Under `vmap` the maps are processed one after another: each has its own order of tiles.
     one_by_one = jax.custom_batching.sequential_vmap(by_tiles)  # type: ignore[no-untyped-call]
-    value: Array = jax.lax.platform_dependent(*arrays, cpu=one_by_one, default=everywhere)
-    return value
+    return jax.lax.platform_dependent(*arrays, cpu=one_by_one, default=everywhere)
 
 
 def relax_everywhere(
@@ -191,8 +190,7 @@ def _relax_all(
 
 def _barrier(*arrays: Array) -> Sequence[Array]:
     """Return arrays that XLA computes before anything that reads them, and only once."""
-    same: Sequence[Array] = jax.lax.optimization_barrier(arrays)  # type: ignore[no-untyped-call]
-    return same
+    return jax.lax.optimization_barrier(arrays)  # type: ignore[no-untyped-call]
 
 
 def _around(array: Array, margin: int, more: tuple[int, int] = (0, 0)) -> list[tuple[int, int]]:

@@ -184,10 +184,7 @@ class ModelEnsemble(Disturbance):
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Dynamics:
         """Return the M models, repeated for every step."""
         arrays, _ = eqx.partition(self.models, eqx.is_array)
-        models: Dynamics = jax.tree.map(
-            lambda leaf: jnp.broadcast_to(leaf, (horizon, *leaf.shape)), arrays
-        )
-        return models
+        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (horizon, *leaf.shape)), arrays)
 
     def step_at(
         self,

@@ -102,8 +102,7 @@ class FleetController(Controller):
     def at_period(self, control_period: ArrayLike) -> "FleetController":
         """Return a copy of this controller that is called every `control_period` seconds."""
         own = self.own.map(lambda each: each.at_period(control_period))
-        same: FleetController = eqx.tree_at(lambda at: at.own, self, own)
-        return same
+        return eqx.tree_at(lambda at: at.own, self, own)
 
     def step(
         self,

@@ -344,10 +344,7 @@ class MotionGuard(eqx.Module):
         is_needed = jnp.isfinite(control).all()
         if scan.room is None:
             is_needed = scan.is_point.any() & is_needed
-        checked: Validated = jax.lax.fori_loop(
-            0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args), given
-        )
-        return checked
+        return jax.lax.fori_loop(0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args), given)
 
     def add_command(self, robot: Dynamics, state: GuardState, control: ControlVector) -> GuardState:
         """Note a command that was sent; NaN where the robot was told to brake."""

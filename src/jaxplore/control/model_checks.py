@@ -93,8 +93,7 @@ def check_call(
     _kinds.instance("state", state, kind, hint="from init() or the last step")
     _kinds.key("key", key)
     if _kinds.is_traced(observation):
-        traced: StateVector = observation
-        return traced
+        return observation
     names = dynamics.state_names
     accepted = f"{len(names)} numbers: {', '.join(names)}"
     if isinstance(observation, (list, tuple)) and _kinds.is_traced(*observation):

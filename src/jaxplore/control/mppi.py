@@ -178,10 +178,9 @@ def auto_mesh(mesh: Mesh) -> Mesh:
 def shard_samples(samples: Samples, mesh: Mesh) -> Samples:
     """Return the samples, sharded over the devices along their last axis."""
     sharding = NamedSharding(mesh, _spec(None, None, mesh.axis_names))
-    shared: Samples = jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
+    return jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
         samples, sharding
     )
-    return shared
 
 
 def map_over_devices(
@@ -208,8 +207,7 @@ def map_over_devices(
         # the check would refuse.
         check_vma=False,
     )
-    total: Array = over_devices(initial, controls, arrays)
-    return total
+    return over_devices(initial, controls, arrays)
 
 
 def check_divisible(num_samples: int, mesh: Mesh) -> None:
@@ -462,8 +460,7 @@ class MPPI(ModelBasedController):
     def at_period(self, control_period: ArrayLike) -> "MPPI":
         """Return a copy of this controller that is called every `control_period` seconds."""
         period = _checks.scalar("control_period", control_period, above=0.0)
-        same: MPPI = eqx.tree_at(lambda controller: controller.control_period, self, period)
-        return same
+        return eqx.tree_at(lambda controller: controller.control_period, self, period)
 
     def resume(self, state: MPPIState, controls: Float[Array, "T0 nu"]) -> MPPIState:
         """Return a state that continues the plan of another MPPI controller, of any horizon.

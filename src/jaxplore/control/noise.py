@@ -46,8 +46,7 @@ class Noise(eqx.Module):
             return sequence
         # Solve with the Cholesky factor, which is more accurate than inverting the covariance.
         factor = jnp.linalg.cholesky(covariance)
-        solved: Array = jax.scipy.linalg.cho_solve((factor, True), sequence)
-        return solved
+        return jax.scipy.linalg.cho_solve((factor, True), sequence)
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` if noise of this shape cannot be drawn; by default any can."""
@@ -68,10 +67,9 @@ class WhiteNoise(Noise):
         """Return noise of shape (P, nu, K)."""
         if math.prod(shape) <= LARGE:
             return jax.random.normal(key, shape)
-        rows: Samples = jax.lax.map(
+        return jax.lax.map(
             lambda row: jax.random.normal(row, shape[1:]), jax.random.split(key, shape[0])
         )
-        return rows
 
     def covariance(self, rows: int) -> None:
         """Return None: all draws are independent."""
@@ -253,8 +251,7 @@ class ColouredNoise(Noise):
         if inner is None:
             return colour
         factor = jnp.linalg.cholesky(colour)
-        covariance: Array = factor @ inner @ factor.T
-        return covariance
+        return factor @ inner @ factor.T
 
     def colour(self, rows: int) -> Float[Array, "P P"]:
         """Return the covariance (P, P) of coloured white noise, with 1 on the diagonal."""

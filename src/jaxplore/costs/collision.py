@@ -74,8 +74,7 @@ class CollisionCost(Cost):
             centre = state.position
             if lever:
                 centre = jnp.stack(add_lever(tuple(centre), lever))
-            distance: Scalar = field(centre)
-            return distance
+            return field(centre)
 
         # Reduced pairwise and not as an array, which XLA would reduce sample by sample.
         deep = depth(functools.reduce(jnp.minimum, map(clearance, parts)), too_close)

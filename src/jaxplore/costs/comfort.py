@@ -95,8 +95,7 @@ def acceleration(
 
     def velocity(values: Array) -> Array:
         rate = model.derivative(values, control)
-        moved: Array = jax.jvp(model.position, (values,), (rate,))[1]
-        return moved
+        return jax.jvp(model.position, (values,), (rate,))[1]
 
     x, y = jax.jvp(velocity, (state,), (model.derivative(state, control),))[1]
     heading = model.heading(state)

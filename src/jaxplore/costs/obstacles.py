@@ -69,8 +69,7 @@ class ObstacleCost(Cost):
             centre = state.place(field.dimensions)
             if lever:
                 centre = jnp.stack(add_lever(tuple(centre), lever))
-            cleared: Scalar = field(centre)
-            return cleared
+            return field(centre)
 
         # Reduced pairwise and not as an array, which XLA would reduce sample by sample.
         distance = functools.reduce(jnp.minimum, map(clearance, levers(state)))

@@ -75,8 +75,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
     @property
     def belief(self) -> Belief:
         """The robot's belief, as jaxplore's controllers read it."""
-        belief: Belief = self.state.belief
-        return belief
+        return self.state.belief
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -194,14 +194,8 @@ def _step_each(
     is_vmapped: bool,
 ) -> tuple[EnvironmentState, StepResult]:
     if is_vmapped:
-        together: tuple[EnvironmentState, StepResult] = jax.vmap(environment.step)(
-            states, actions, num_steps
-        )
-        return together
-    in_turn: tuple[EnvironmentState, StepResult] = jax.lax.map(
-        lambda row: environment.step(*row), (states, actions, num_steps)
-    )
-    return in_turn
+        return jax.vmap(environment.step)(states, actions, num_steps)
+    return jax.lax.map(lambda row: environment.step(*row), (states, actions, num_steps))
 
 
 @eqx.filter_jit
@@ -211,7 +205,4 @@ def _rows(states: list[EnvironmentState]) -> EnvironmentState:
 
 @eqx.filter_jit
 def _place(rows: EnvironmentState, place: Count, state: EnvironmentState) -> EnvironmentState:
-    placed: EnvironmentState = jax.tree.map(
-        lambda column, leaf: column.at[place].set(leaf), rows, state
-    )
-    return placed
+    return jax.tree.map(lambda column, leaf: column.at[place].set(leaf), rows, state)

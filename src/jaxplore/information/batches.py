@@ -28,5 +28,4 @@ def over_poses(
     # A single `vmap` over many poses would write its intermediate arrays to main memory.
     if position.shape[0] <= BATCH:
         return jax.vmap(gain)(position, heading)
-    values: Array = jax.lax.map(lambda pose: gain(*pose), (position, heading), batch_size=BATCH)
-    return values
+    return jax.lax.map(lambda pose: gain(*pose), (position, heading), batch_size=BATCH)

@@ -209,8 +209,7 @@ class BeamTable(eqx.Module):
                 value = share * read(1, cell) + read(0, cell) * value
             return value
 
-        value: Array = jax.lax.fori_loop(0, blocks, nearer, jnp.zeros(shape))
-        return value
+        return jax.lax.fori_loop(0, blocks, nearer, jnp.zeros(shape))
 
     def _general(self, read: Read, start: Array, shape: tuple[int, int], direction: Array) -> Array:
         """Evaluate the recursion with noise, or without counting no return."""
@@ -294,8 +293,7 @@ def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> n
     Near the sensor several beams cross one cell, and each gets its share."""
     if spacing is None:
         return np.ones_like(entry)
-    share: np.ndarray = np.minimum(1.0, 0.5 * (entry + exit_) * spacing)
-    return share
+    return np.minimum(1.0, 0.5 * (entry + exit_) * spacing)
 
 
 def parts_from(values: Array, first: Array, count: int) -> list[Array]:

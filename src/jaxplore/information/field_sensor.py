@@ -314,8 +314,7 @@ class FieldSensor(eqx.Module):
             node = jnp.stack([index * height, jnp.zeros((), jnp.int32)])
             return self._renew(maps, first, node, (height, shape[1]), every, values)
 
-        values: Values = jax.lax.fori_loop(0, count, strip, start)
-        return values
+        return jax.lax.fori_loop(0, count, strip, start)
 
     def _renew(
         self,

@@ -120,15 +120,13 @@ class Ground(eqx.Module):
         filled = [
             on_device(pad_cells("shape", np.asarray(layer), shape, 0.0)) for layer in _layers(self)
         ]
-        same: Ground = eqx.tree_at(_layers, self, filled)
-        return same
+        return eqx.tree_at(_layers, self, filled)
 
     def crop(self, shape: tuple[int, int]) -> "Ground":
         """Return the first rows and columns of the ground, as before `pad`."""
         rows, columns = shape
         kept = [on_device(np.asarray(layer)[:rows, :columns]) for layer in _layers(self)]
-        same: Ground = eqx.tree_at(_layers, self, kept)
-        return same
+        return eqx.tree_at(_layers, self, kept)
 
     @property
     def resolution(self) -> float:

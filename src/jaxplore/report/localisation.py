@@ -39,8 +39,7 @@ class Alignment(NamedTuple):
 
     def apply(self, points: ArrayLike) -> _Floats:
         """Return points (N, 2) after the motion [m]."""
-        moved: _Floats = np.asarray(points, np.float64) @ self.rotation.T + self.translation
-        return moved
+        return np.asarray(points, np.float64) @ self.rotation.T + self.translation
 
     def inverse(self) -> "Alignment":
         """Return the motion that undoes this one."""
@@ -341,8 +340,7 @@ def _check_maps(
 
 
 def _wrap_angle(angle: _Floats) -> _Floats:
-    wrapped: _Floats = angle - math.tau * np.round(angle / math.tau)
-    return wrapped
+    return angle - math.tau * np.round(angle / math.tau)
 
 
 def _rms(values: _Floats) -> float:
@@ -360,8 +358,7 @@ def _dilate(mask: _Mask) -> _Mask:
     """Return the cells of a mask and the 8 cells around each."""
     from scipy.ndimage import binary_dilation
 
-    grown: _Mask = binary_dilation(mask, np.ones((3, 3), bool))
-    return grown
+    return binary_dilation(mask, np.ones((3, 3), bool))
 
 
 def _are_near(cells: _Cells, others: _Cells, reach: float) -> int:
@@ -387,5 +384,4 @@ def _cells(points: _Floats, grid: OccupancyGrid) -> _Cells:
     frame = Alignment(float(origin[2]), origin[:2])
     at = frame.inverse().apply(points) / grid.resolution
     # A point so far away that its cell has no whole number is off the map in any case.
-    cells: _Cells = np.floor(np.clip(at, -1e15, 1e15)[:, ::-1]).astype(np.int64)
-    return cells
+    return np.floor(np.clip(at, -1e15, 1e15)[:, ::-1]).astype(np.int64)

@@ -34,8 +34,7 @@ def fan_angles(number: int, view: float) -> np.ndarray:
     if number == 1:
         return np.zeros(1)
     first = -math.pi if covers_circle(view) else -view / 2.0
-    angles: np.ndarray = first + angle_between(number, view) * np.arange(number)
-    return angles
+    return first + angle_between(number, view) * np.arange(number)
 
 
 class Beams(eqx.Module):

@@ -29,8 +29,7 @@ def choices(section: type[BaseModel], name: str) -> tuple[str, ...]:
 
 @functools.cache
 def _schema(section: type[BaseModel]) -> dict[str, dict[str, Any]]:
-    properties: dict[str, dict[str, Any]] = section.model_json_schema()["properties"]
-    return properties
+    return section.model_json_schema()["properties"]
 
 
 def _words(schema: dict[str, Any]) -> str:

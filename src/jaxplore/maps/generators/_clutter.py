@@ -52,8 +52,7 @@ def widest_part(free: Mask, radius: float, resolution: float) -> Mask:
         return np.zeros_like(free)
     sizes = np.bincount(pieces.ravel())
     largest = int(sizes[1:].argmax()) + 1
-    swept: Mask = ndimage.distance_transform_edt(pieces != largest)[1:-1, 1:-1] < reach
-    return swept
+    return ndimage.distance_transform_edt(pieces != largest)[1:-1, 1:-1] < reach
 
 
 def disc(diameter: float, resolution: float) -> Mask:

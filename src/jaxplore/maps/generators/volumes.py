@@ -179,8 +179,7 @@ def _maze(
     solid[:] = True
 
     def middle(cell: tuple[int, int, int]) -> np.ndarray:
-        place: np.ndarray = (np.array(cell) + 0.5) * pitch
-        return place
+        return (np.array(cell) + 0.5) * pitch
 
     half = 0.5 * pitch - 0.1
 

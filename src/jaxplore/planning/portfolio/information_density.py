@@ -77,5 +77,4 @@ class InformationDensity(Fusion):
                 jax.vmap(information_at)(rollout_states(model, state.values, controls, dt))
             )
 
-        found: Array = jax.vmap(density)(candidates.controls)
-        return found
+        return jax.vmap(density)(candidates.controls)

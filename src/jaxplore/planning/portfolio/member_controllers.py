@@ -170,8 +170,7 @@ class MemberControllers(eqx.Module):
 
     def init(self) -> MPPIState:
         """Return the initial states of the members."""
-        states: MPPIState = jax.vmap(lambda index: self.member(index).init())(self.indices)
-        return states
+        return jax.vmap(lambda index: self.member(index).init())(self.indices)
 
     def member(self, index: int | Array) -> MPPI:
         """Return a member as an MPPI controller with J_hard as its cost; `index` may be traced."""

@@ -66,8 +66,7 @@ class RandomWalk(Controller):
     def at_period(self, control_period: ArrayLike) -> "RandomWalk":
         """Return a copy of this controller that is called every `control_period` seconds."""
         mppi = self.mppi.at_period(control_period)
-        same: RandomWalk = eqx.tree_at(lambda controller: controller.mppi, self, mppi)
-        return same
+        return eqx.tree_at(lambda controller: controller.mppi, self, mppi)
 
     def step(
         self,

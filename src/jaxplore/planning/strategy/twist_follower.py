@@ -120,8 +120,7 @@ class TwistFollower(Follower):
             move = _solve_bounded(normal, slope.T @ (weight * (wanted - found)), low, high)
             return control + half_range * move
 
-        result: ControlVector = jax.lax.fori_loop(0, ITERATIONS, improve, dynamics.default_control)
-        return result
+        return jax.lax.fori_loop(0, ITERATIONS, improve, dynamics.default_control)
 
     def _compute_twist(
         self,
@@ -168,8 +167,7 @@ def _solve_bounded(
             x = x.at[index].set(jnp.clip(x[index] + step, low[index], high[index]))
         return x
 
-    result: Array = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros(normal.shape[0]))
-    return result
+    return jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros(normal.shape[0]))
 
 
 def drives(dynamics: Dynamics) -> bool:

@@ -101,8 +101,7 @@ class GoalApproach(ModelBasedController):
         if belief.obstacles is None:
             return is_free
         state = State(observation, self.dynamics, self.dynamics.default_control)
-        is_alone: Flag = is_free & (MovingObstacleCost().room(state, belief.obstacles) > AWAY)
-        return is_alone
+        return is_free & (MovingObstacleCost().room(state, belief.obstacles) > AWAY)
 
     def inspect(
         self,

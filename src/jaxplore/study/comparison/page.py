@@ -247,10 +247,7 @@ def _ink(number: int, robots: int) -> str:
 
 
 def _colour(grid: OccupancyGrid, part: Part) -> np.ndarray:
-    colours: np.ndarray = belief_colours()[
-        np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)
-    ]
-    return colours
+    return belief_colours()[np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)]
 
 
 def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np.ndarray]:

@@ -186,5 +186,4 @@ class Generations:
 
 
 def _read_reports(study: Any, number: int) -> Mapping[int, float]:
-    found: Mapping[int, float] = study.get_trials(deepcopy=False)[number].intermediate_values
-    return found
+    return study.get_trials(deepcopy=False)[number].intermediate_values
