@@ -19,6 +19,7 @@ from jaxplore._version import __version__
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
+from jaxplore.cli._decorators import path_option
 from jaxplore.cli._map_log_command import map_log
 from jaxplore.cli._memory import memory_option
 from jaxplore.cli._node_commands import identify, node, replay, robot
@@ -49,20 +50,14 @@ def cli() -> None:
 @memory_option
 @cache_option
 @path_options
-@click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Run folder.  [default: runs/MAP]"
+@path_option("--out", metavar="DIR", text="Run folder.  [default: runs/MAP]")
+@path_option(
+    "--record", metavar="FILE.mcap", text="Also record the run for Foxglove (needs foxglove-sdk)."
 )
-@click.option(
-    "--record",
-    type=click.Path(path_type=Path),
-    metavar="FILE.mcap",
-    help="Also record the run for Foxglove (needs foxglove-sdk).",
-)
-@click.option(
+@path_option(
     "--resume",
-    type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Run folder to continue, with its settings; with --overwrite or another --out.",
+    text="Run folder to continue, with its settings; with --overwrite or another --out.",
 )
 @picture_options("Draw an animation.", video=True)
 @view_options
@@ -106,17 +101,10 @@ def run(out: Path | None, overwrite: bool, **options: Any) -> None:
 @memory_option
 @cache_option
 @click.option(
-    "--seeds",
-    type=int,
-    default=20,
-    show_default=True,
-    help="Number of seeds, the runs of each variant.",
+    "--seeds", default=20, show_default=True, help="Number of seeds, the runs of each variant."
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder.  [default: runs/MAP-comparison, or runs/DIR-comparison]",
+@path_option(
+    "--out", metavar="DIR", text="Folder.  [default: runs/MAP-comparison, or runs/DIR-comparison]"
 )
 @picture_options("Draw the first run of each variant.")
 def compare(seeds: int, out: Path | None, overwrite: bool, **options: Any) -> None:
@@ -158,12 +146,7 @@ def compare(seeds: int, out: Path | None, overwrite: bool, **options: Any) -> No
 @path_options
 @tune_options
 @runner_options
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder of the study.  [default: runs/MAP-tuned]",
-)
+@path_option("--out", metavar="DIR", text="Folder of the study.  [default: runs/MAP-tuned]")
 @picture_options("Draw runs before and after the search.")
 def tune(out: Path | None, **options: Any) -> None:
     """Search for better settings of a scenario, and compare them with the current ones.
@@ -188,7 +171,7 @@ def tune(out: Path | None, **options: Any) -> None:
 
 @cli.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUNFOLDER")
-@click.option("--port", type=int, default=0, help="Port of the page.  [default: a free one]")
+@click.option("--port", default=0, help="Port of the page.  [default: a free one]")
 @host_option
 def view(folder: Path, port: int, host: str | None) -> None:
     """Show a finished run in the browser, with a slider of time.
@@ -230,12 +213,11 @@ def print_settings(name: str | None) -> None:
 
 @cli.command("import-nav2")
 @click.argument("file", type=click.Path(path_type=Path), metavar="NAV2_PARAMS.yaml")
-@click.option(
+@path_option(
     "--out",
     "-o",
-    type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Settings file to write.  [default: standard output]",
+    text="Settings file to write.  [default: standard output]",
 )
 @click.option(
     "--task",

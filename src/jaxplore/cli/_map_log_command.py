@@ -6,58 +6,45 @@ from typing import Any
 import click
 
 from jaxplore._signals import interrupt_on_end_signals
-
-
-def map_log_options(command: Any) -> Any:
-    """Add the log, the folder, the map and the drift."""
-    # Click lists options in the reverse order of their addition.
-    for option in (
-        click.option("--overwrite", is_flag=True, help="Replace an existing folder."),
-        click.option(
-            "--set",
-            "assignments",
-            multiple=True,
-            metavar="NAME=VALUE",
-            help="Error of the odometry or of the drift, such as --set distance_noise=0.04; see "
-            "the page Localisation.  [default: fitted]",
-        ),
-        click.option(
-            "--drift-seed",
-            type=int,
-            help="Seed of made-up drift on the log's poses, in place of its odometry; for tests.",
-        ),
-        click.option(
-            "--field-of-view",
-            type=float,
-            help="Angle between the outermost beams [rad].  [default: by the log]",
-        ),
-        click.option(
-            "--range",
-            "max_range",
-            type=float,
-            default=25.0,
-            show_default=True,
-            help="Range beyond which readings are not used [m].",
-        ),
-        click.option(
-            "--resolution",
-            type=float,
-            help="Side of a map cell [m].  [default: 0.05, 0.1 or 0.2, as the scans need]",
-        ),
-        click.option(
-            "--out",
-            type=click.Path(path_type=Path),
-            metavar="DIR",
-            help="Folder.  [default: runs/LOG-map]",
-        ),
-        click.argument("file", type=click.Path(path_type=Path), metavar="LOG"),
-    ):
-        command = option(command)
-    return command
+from jaxplore.cli._decorators import add_options, path_option
 
 
 @click.command("map-log")
-@map_log_options
+@add_options(
+    click.argument("file", type=click.Path(path_type=Path), metavar="LOG"),
+    path_option("--out", metavar="DIR", text="Folder.  [default: runs/LOG-map]"),
+    click.option(
+        "--resolution",
+        type=float,
+        help="Side of a map cell [m].  [default: 0.05, 0.1 or 0.2, as the scans need]",
+    ),
+    click.option(
+        "--range",
+        "max_range",
+        default=25.0,
+        show_default=True,
+        help="Range beyond which readings are not used [m].",
+    ),
+    click.option(
+        "--field-of-view",
+        type=float,
+        help="Angle between the outermost beams [rad].  [default: by the log]",
+    ),
+    click.option(
+        "--drift-seed",
+        type=int,
+        help="Seed of made-up drift on the log's poses, in place of its odometry; for tests.",
+    ),
+    click.option(
+        "--set",
+        "assignments",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Error of the odometry or of the drift, such as --set distance_noise=0.04; see "
+        "the page Localisation.  [default: fitted]",
+    ),
+    click.option("--overwrite", is_flag=True, help="Replace an existing folder."),
+)
 def map_log(file: Path, out: Path | None, **options: Any) -> None:
     """Map a log of a real lidar by its odometry and its scans.
 

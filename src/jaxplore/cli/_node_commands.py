@@ -10,6 +10,7 @@ import click
 
 from jaxplore._signals import interrupt_on_end_signals
 from jaxplore.cli._cache import cache_option
+from jaxplore.cli._decorators import OVERWRITE, TRUST, add_options, path_option
 from jaxplore.cli._memory import memory_option
 from jaxplore.cli._options import with_options
 from jaxplore.cli._view_options import view_options
@@ -23,142 +24,41 @@ NAMESPACE = click.option(
 ANIMATION = click.option("--animation/--no-animation", default=True, help="Draw an animation.")
 
 
-def _drive_options(out: str) -> tuple[Any, ...]:
-    """Return the options of settings and of the run folder, whose default is `out`."""
-    return (
-        click.option(
-            "--settings",
-            "settings_file",
-            type=click.Path(path_type=Path),
-            metavar="FILE",
-            help="Settings file in YAML, as of jaxplore run; topics and safety are in its section "
-            "node.",
-        ),
-        click.option(
-            "--set",
-            "assignments",
-            multiple=True,
-            metavar="NAME=VALUE",
-            help="Any setting, for example --set node.latency=0.1.",
-        ),
-        click.option(
-            "--trust",
-            is_flag=True,
-            help="Import what settings files name as MODULE:NAME, which runs its code.",
-        ),
-        click.option(
-            "--out",
-            type=click.Path(path_type=Path),
-            metavar="DIR",
-            help=f"Run folder, written at the end.  [default: {out}]",
-        ),
-        click.option("--overwrite", is_flag=True, help="Replace an existing run folder."),
-        ANIMATION,
-    )
-
-
-def node_options(command: Any) -> Any:
-    """Add the options of the node that drives a robot."""
-    mode = click.option(
-        "--mode",
-        type=click.Choice(["control", "follow", "goal"]),
-        help="Explore, follow the paths of another program, or publish goals that nav2 drives to.  "
-        "[default: control]",
-    )
-    # Click lists options in the reverse order of their addition.
-    for option in reversed((mode, NAMESPACE, *_drive_options("runs/drive"))):
-        command = option(command)
-    return command
-
-
-def replay_options(command: Any) -> Any:
-    """Add the options of a replay."""
-    topics = (
-        click.option(
-            "--scan", "scan_topic", metavar="TOPIC", help="Topic of the scan.  [default: the only]"
-        ),
-        click.option(
-            "--pose",
-            "pose_topic",
-            metavar="TOPIC",
-            help="Topic of the pose.  [default: the only odometry, else the only pose, else /tf]",
-        ),
-    )
-    for option in reversed((*topics, *_drive_options("runs/drive"))):
-        command = option(command)
-    return command
-
-
-def robot_options(command: Any) -> Any:
-    """Add the options of the simulated robot."""
-    for option in reversed(
-        (
-            click.option(
-                "--delay",
-                type=float,
-                default=0.0,
-                show_default=True,
-                help="Time between a command and its effect [s].",
-            ),
-            click.option(
-                "--drift",
-                type=float,
-                default=0.0,
-                show_default=True,
-                help="Standard deviation of the scale errors of the odometry.",
-            ),
-            click.option(
-                "--motors",
-                type=click.Path(path_type=Path),
-                metavar="FILE",
-                help="Settings file with node.motors, as of jaxplore identify: the motors of the "
-                "base.  [default: they obey at once]",
-            ),
-            click.option(
-                "--mount",
-                type=float,
-                nargs=3,
-                metavar="X Y DEGREES",
-                default=(0.0, 0.0, 0.0),
-                show_default=True,
-                help="Place and heading of the lidar on the robot, as lidar_x, lidar_y and "
-                "lidar_yaw_degrees of the node.",
-            ),
-            click.option(
-                "--turning/--at-once",
-                default=False,
-                show_default=True,
-                help="Whether the lidar turns while the robot drives; else it measures at once.",
-            ),
-            click.option(
-                "--command-type",
-                type=click.Choice(["twist", "twist_stamped"]),
-                default="twist",
-                show_default=True,
-                help="Type of the messages on /cmd_vel.",
-            ),
-            click.option(
-                "--map/--no-map",
-                "has_map",
-                default=True,
-                help="Publish the map of what the lidar has seen on /map, the pose in it on /pose, "
-                "and the transform from map to odom, as SLAM nodes do.",
-            ),
-            NAMESPACE,
-            ANIMATION,
-        )
-    ):
-        command = option(command)
-    return command
+_drive_options = add_options(
+    path_option(
+        "--settings",
+        "settings_file",
+        metavar="FILE",
+        text="Settings file in YAML, as of jaxplore run; topics and safety are in its section "
+        "node.",
+    ),
+    click.option(
+        "--set",
+        "assignments",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Any setting, for example --set node.latency=0.1.",
+    ),
+    TRUST,
+    path_option(
+        "--out", metavar="DIR", text="Run folder, written at the end.  [default: runs/drive]"
+    ),
+    OVERWRITE,
+    ANIMATION,
+)
 
 
 @click.command()
-@node_options
 @click.option(
-    "--record",
-    type=click.Path(path_type=Path),
-    metavar="FILE.mcap",
-    help="Also record the drive for Foxglove (needs foxglove-sdk).",
+    "--mode",
+    type=click.Choice(["control", "follow", "goal"]),
+    help="Explore, follow the paths of another program, or publish goals that nav2 drives to.  "
+    "[default: control]",
+)
+@NAMESPACE
+@_drive_options
+@path_option(
+    "--record", metavar="FILE.mcap", text="Also record the drive for Foxglove (needs foxglove-sdk)."
 )
 @view_options
 @memory_option
@@ -190,7 +90,16 @@ def node(**options: Any) -> None:
 
 @click.command()
 @click.argument("bag", type=click.Path(path_type=Path))
-@replay_options
+@click.option(
+    "--scan", "scan_topic", metavar="TOPIC", help="Topic of the scan.  [default: the only]"
+)
+@click.option(
+    "--pose",
+    "pose_topic",
+    metavar="TOPIC",
+    help="Topic of the pose.  [default: the only odometry, else the only pose, else /tf]",
+)
+@_drive_options
 @memory_option
 @cache_option
 def replay(bag: Path, **options: Any) -> None:
@@ -212,9 +121,7 @@ def replay(bag: Path, **options: Any) -> None:
 
 @click.command()
 @click.argument("source", metavar="BAG_OR_TOPIC")
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), metavar="FILE", help="Settings file to write."
-)
+@path_option("-o", "--out", metavar="FILE", text="Settings file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option(
     "--command", metavar="TOPIC", help="Topic of the commands in a bag.  [default: the only]"
@@ -253,15 +160,59 @@ def identify(source: str, **options: Any) -> None:
 
 @click.command()
 @with_options("architecture")
-@robot_options
+@click.option(
+    "--delay",
+    default=0.0,
+    show_default=True,
+    help="Time between a command and its effect [s].",
+)
+@click.option(
+    "--drift",
+    default=0.0,
+    show_default=True,
+    help="Standard deviation of the scale errors of the odometry.",
+)
+@path_option(
+    "--motors",
+    metavar="FILE",
+    text="Settings file with node.motors, as of jaxplore identify: the motors of the base.  "
+    "[default: they obey at once]",
+)
+@click.option(
+    "--mount",
+    type=float,
+    nargs=3,
+    metavar="X Y DEGREES",
+    default=(0.0, 0.0, 0.0),
+    show_default=True,
+    help="Place and heading of the lidar on the robot, as lidar_x, lidar_y and "
+    "lidar_yaw_degrees of the node.",
+)
+@click.option(
+    "--turning/--at-once",
+    default=False,
+    show_default=True,
+    help="Whether the lidar turns while the robot drives; else it measures at once.",
+)
+@click.option(
+    "--command-type",
+    type=click.Choice(["twist", "twist_stamped"]),
+    default="twist",
+    show_default=True,
+    help="Type of the messages on /cmd_vel.",
+)
+@click.option(
+    "--map/--no-map",
+    "has_map",
+    default=True,
+    help="Publish the map of what the lidar has seen on /map, the pose in it on /pose, "
+    "and the transform from map to odom, as SLAM nodes do.",
+)
+@NAMESPACE
+@ANIMATION
 @memory_option
 @cache_option
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Run folder.  [default: runs/MAP-robot]",
-)
+@path_option("--out", metavar="DIR", text="Run folder.  [default: runs/MAP-robot]")
 def robot(**options: Any) -> None:
     """Simulate a robot in a map as a ROS 2 node, at wall-clock time.
 

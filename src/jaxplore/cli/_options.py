@@ -1,12 +1,11 @@
 """Options that the commands share."""
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import click
 
 from jaxplore.cli._completion import complete_assignment, complete_map, values_of
+from jaxplore.cli._decorators import OVERWRITE, TRUST, Decorator, add_options, path_option
 from jaxplore.cli._known import load_known
 
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
@@ -79,7 +78,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def with_options(*without: str) -> Callable[[Any], Any]:
+def with_options(*without: str) -> Decorator:
     """Return a decorator that adds the options of a run: the map, the start, and the settings."""
     added = [
         click.argument(
@@ -113,12 +112,11 @@ def with_options(*without: str) -> Callable[[Any], Any]:
         complete = values_of(setting) if kind is str else None
         added.append(click.option(flag, name, type=kind, help=text, shell_complete=complete))
     added += [
-        click.option(
+        path_option(
             "--settings",
             "settings_file",
-            type=click.Path(path_type=Path),
             metavar="FILE",
-            help="Settings file in YAML, for example settings.yaml of a run; options override it.",
+            text="Settings file in YAML, for example settings.yaml of a run; options override it.",
         ),
         click.option(
             "--set",
@@ -129,40 +127,24 @@ def with_options(*without: str) -> Callable[[Any], Any]:
             help="Any other setting, for example --set fields.decay_length=3 (see 'jaxplore "
             "settings').",
         ),
-        click.option(
-            "--trust",
-            is_flag=True,
-            help="Import what settings files name as MODULE:NAME, which runs its code.",
-        ),
-        click.option("--overwrite", is_flag=True, help="Replace an existing run folder."),
+        TRUST,
+        OVERWRITE,
     ]
-
-    def add(command: Any) -> Any:
-        # Click lists options in the reverse order of their addition.
-        for option in reversed(added):
-            command = option(command)
-        return command
-
-    return add
+    return add_options(*added)
 
 
-def path_options(command: Any) -> Any:
-    """Add the options of a path."""
-    # Click lists options in the reverse order of their addition.
-    for option in (
-        click.option(
-            "--obstacles",
-            "obstacles__number",
-            type=int,
-            help="Moving obstacles on a path.  [default: 0]",
-        ),
-        click.option("--laps", type=int, help="Laps of a closed path.  [default: 1]"),
-        click.option(
-            "--path",
-            "path_file",
-            metavar="FILE",
-            help="Path to follow, in CSV or YAML.  [default: a generated track]",
-        ),
-    ):
-        command = option(command)
-    return command
+path_options = add_options(
+    click.option(
+        "--path",
+        "path_file",
+        metavar="FILE",
+        help="Path to follow, in CSV or YAML.  [default: a generated track]",
+    ),
+    click.option("--laps", type=int, help="Laps of a closed path.  [default: 1]"),
+    click.option(
+        "--obstacles",
+        "obstacles__number",
+        type=int,
+        help="Moving obstacles on a path.  [default: 0]",
+    ),
+)

@@ -1,15 +1,12 @@
 """Options of figures and films, the same for all commands that draw."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import click
 
+from jaxplore.cli._decorators import Decorator, add_options, path_option
 from jaxplore.cli._known import load_known
 
 
-def picture_options(animation: str, *, video: bool = False) -> Callable[[Any], Any]:
+def picture_options(animation: str, *, video: bool = False) -> Decorator:
     """Return a decorator that adds the options of figures and films.
 
     `animation` is the help of `--animation`.
@@ -36,19 +33,7 @@ def picture_options(animation: str, *, video: bool = False) -> Callable[[Any], A
         ),
     ]
     if video:
-        options.append(
-            click.option(
-                "--video",
-                type=click.Path(path_type=Path),
-                metavar="FILE.mp4",
-                help="Also write the film as an MP4 video (needs imageio-ffmpeg).",
-            )
-        )
+        film = "Also write the film as an MP4 video (needs imageio-ffmpeg)."
+        options.append(path_option("--video", metavar="FILE.mp4", text=film))
 
-    def add(command: Any) -> Any:
-        # Click lists options in the reverse order of their addition.
-        for option in reversed(options):
-            command = option(command)
-        return command
-
-    return add
+    return add_options(*options)

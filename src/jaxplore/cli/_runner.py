@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxplore._limits import MOST_AT_ONCE
+from jaxplore.cli._decorators import add_options
 from jaxplore.cli._memory import check_count
 
 if TYPE_CHECKING:
@@ -14,20 +15,15 @@ RUNNER = ("workers", "ray", "address")
 """Names of these options."""
 
 
-def runner_options(command: Any) -> Any:
-    """Add the options of a runner."""
-    # Click lists options in the reverse order of their addition.
-    for option in (
-        click.option("--address", metavar="HOST:PORT", help="Join a Ray cluster."),
-        click.option("--ray", is_flag=True, help="Start a local Ray cluster."),
-        click.option(
-            "--workers",
-            type=int,
-            help="Number of processes, or of Ray workers.  [default: 1; all of Ray's]",
-        ),
-    ):
-        command = option(command)
-    return command
+runner_options = add_options(
+    click.option(
+        "--workers",
+        type=int,
+        help="Number of processes, or of Ray workers.  [default: 1; all of Ray's]",
+    ),
+    click.option("--ray", is_flag=True, help="Start a local Ray cluster."),
+    click.option("--address", metavar="HOST:PORT", help="Join a Ray cluster."),
+)
 
 
 def make_runner(given: dict[str, Any]) -> "Runner":

@@ -1,10 +1,9 @@
 """Options of `jaxplore tune`."""
 
-from typing import Any
-
 import click
 
 from jaxplore.cli._completion import complete_map, complete_setting, words
+from jaxplore.cli._decorators import add_options
 from jaxplore.cli._known import load_known
 
 OWN = (
@@ -22,67 +21,15 @@ OWN = (
 )
 """Names of the options of a search."""
 
-_OPTIONS = (
+tune_options = add_options(
     click.option(
-        "--batch",
-        type=int,
-        default=1,
-        show_default=True,
-        help="Number of candidates in one program (vmap), for accelerators and small problems.",
-    ),
-    click.option(
-        "--measure",
-        "measures",
+        "--tune",
+        "tuned",
         multiple=True,
-        metavar="METRIC=LOW:HIGH[:CELLS]",
-        help="With --optimizer cma-me: metric over which to find diverse settings.",
-    ),
-    click.option(
-        "--give-up/--no-give-up",
-        "gives_up",
-        default=None,
-        help="Stop candidates that are worse than most after their first episodes.  "
-        "[default: on with one objective, except with cma-me]",
-    ),
-    click.option(
-        "--population",
-        type=int,
-        default=load_known().population,
-        show_default=True,
-        help="Number of candidates in a generation.",
-    ),
-    click.option(
-        "--unseen",
-        type=int,
-        default=10,
-        show_default=True,
-        help="Number of seeds, not used by the search, to compare current and chosen settings.",
-    ),
-    click.option(
-        "--seeds", type=int, default=5, show_default=True, help="Number of seeds per candidate."
-    ),
-    click.option(
-        "--optimizer",
-        default="tpe",
-        show_default=True,
-        metavar="NAME",
-        shell_complete=words(load_known().optimizers),
-        help=f"One of {', '.join(load_known().optimizers)}.",
-    ),
-    click.option(
-        "--objective",
-        "objectives",
-        multiple=True,
-        metavar="SUM",
-        help="Sum of metrics to minimize, such as 'time_to.90 + 100*collisions'; several "
-        "for a Pareto front.  [default: time to the end, plus a penalty per collision]",
-    ),
-    click.option(
-        "--budget",
-        default="100",
-        show_default=True,
-        metavar="N | TIME",
-        help="Number of candidates, or a time such as 30min.",
+        shell_complete=complete_setting,
+        metavar="NAME[=LOW:HIGH[:log] | =A,B,C]",
+        help="A setting, or a controller parameter by its path. Without bounds it is "
+        "searched from a tenth to ten times its value.",
     ),
     click.option(
         "--also",
@@ -93,20 +40,59 @@ _OPTIONS = (
         "another robot.",
     ),
     click.option(
-        "--tune",
-        "tuned",
+        "--budget",
+        default="100",
+        show_default=True,
+        metavar="N | TIME",
+        help="Number of candidates, or a time such as 30min.",
+    ),
+    click.option(
+        "--objective",
+        "objectives",
         multiple=True,
-        shell_complete=complete_setting,
-        metavar="NAME[=LOW:HIGH[:log] | =A,B,C]",
-        help="A setting, or a controller parameter by its path. Without bounds it is "
-        "searched from a tenth to ten times its value.",
+        metavar="SUM",
+        help="Sum of metrics to minimize, such as 'time_to.90 + 100*collisions'; several "
+        "for a Pareto front.  [default: time to the end, plus a penalty per collision]",
+    ),
+    click.option(
+        "--optimizer",
+        default="tpe",
+        show_default=True,
+        metavar="NAME",
+        shell_complete=words(load_known().optimizers),
+        help=f"One of {', '.join(load_known().optimizers)}.",
+    ),
+    click.option("--seeds", default=5, show_default=True, help="Number of seeds per candidate."),
+    click.option(
+        "--unseen",
+        default=10,
+        show_default=True,
+        help="Number of seeds, not used by the search, to compare current and chosen settings.",
+    ),
+    click.option(
+        "--population",
+        default=load_known().population,
+        show_default=True,
+        help="Number of candidates in a generation.",
+    ),
+    click.option(
+        "--give-up/--no-give-up",
+        "gives_up",
+        default=None,
+        help="Stop candidates that are worse than most after their first episodes.  "
+        "[default: on with one objective, except with cma-me]",
+    ),
+    click.option(
+        "--measure",
+        "measures",
+        multiple=True,
+        metavar="METRIC=LOW:HIGH[:CELLS]",
+        help="With --optimizer cma-me: metric over which to find diverse settings.",
+    ),
+    click.option(
+        "--batch",
+        default=1,
+        show_default=True,
+        help="Number of candidates in one program (vmap), for accelerators and small problems.",
     ),
 )
-
-
-def tune_options(command: Any) -> Any:
-    """Add the options of a search."""
-    # Click lists options in the reverse order of their addition, so `_OPTIONS` is in reverse.
-    for option in _OPTIONS:
-        command = option(command)
-    return command

@@ -1,8 +1,8 @@
 """Options of views in the browser."""
 
-from typing import Any
-
 import click
+
+from jaxplore.cli._decorators import add_options
 
 VIEW = ("view", "view_port", "host")
 """Names of the options of a live view; all are None when absent."""
@@ -16,21 +16,16 @@ host_option = click.option(
 )
 
 
-def view_options(command: Any) -> Any:
-    """Add the options of a live view."""
-    # Click lists options in the reverse order of their addition.
-    for option in (
-        host_option,
-        click.option(
-            "--view-port", type=int, metavar="N", help="Port of the view.  [default: a free one]"
-        ),
-        click.option(
-            "--view",
-            is_flag=True,
-            default=None,
-            help="Show the run in the browser while it goes on, with sliders for its parameters "
-            "(needs viser).",
-        ),
-    ):
-        command = option(command)
-    return command
+view_options = add_options(
+    click.option(
+        "--view",
+        is_flag=True,
+        default=None,
+        help="Show the run in the browser while it goes on, with sliders for its parameters "
+        "(needs viser).",
+    ),
+    click.option(
+        "--view-port", type=int, metavar="N", help="Port of the view.  [default: a free one]"
+    ),
+    host_option,
+)
