@@ -17,7 +17,6 @@ from jaxplore.report.exploration.window import Window
 from jaxplore.report.metrics import Column, Curve
 from jaxplore.report.of_parts import PartsData
 from jaxplore.report.part import Headline, PartMetrics, PartReport, Tally
-from jaxplore.report.targets import last_target_at, target_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +60,11 @@ class TargetMetrics(PartMetrics):
 
     def rows(self) -> list[tuple[str, str]]:
         """Return how many were found, and when the last one was."""
-        return target_rows(self.number, self.seen, self.last_at, self.how)
+        if not self.number:
+            return []
+        found = f"{self.seen} of {self.number} {self.how}"
+        last = "" if self.last_at is None else f", the last at {self.last_at:.2f} s"
+        return [("targets", found + last)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +93,7 @@ class TargetReport(PartReport):
         return TargetMetrics(
             number=number,
             seen=int(seen[-1]) if len(seen) else 0,
-            last_at=last_target_at(seen, number, run.control_period),
+            last_at=_last_target_at(seen, number, run.control_period),
             how=self.how,
         )
 
@@ -166,3 +169,11 @@ class TargetReport(PartReport):
     def colours(self) -> list[Colour]:
         """Return the colour of targets."""
         return [TARGET]
+
+
+def _last_target_at(seen: np.ndarray, number: int, period: float) -> float | None:
+    """Return the time at which the last target was seen [s]; None if some were not, or without any.
+    The record of step k holds how many of the `number` targets were `seen` (N,) at its beginning,
+    so the time is k control periods [s]."""
+    is_all = seen >= number if number else np.zeros(0, bool)
+    return int(is_all.argmax()) * period if is_all.any() else None

@@ -6,12 +6,12 @@ from jaxplore.report._numbers import numbers, percent, text
 from jaxplore.report.coverage_levels import LEVELS
 from jaxplore.report.exploration.data import TEAM
 from jaxplore.report.exploration.guard import GUARD_COLUMN, GuardMetrics
-from jaxplore.report.exploration.mission_metrics import MissionMetrics
 from jaxplore.report.metrics import Column, Curve
+from jaxplore.report.of_parts import PartsMetrics
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ExplorationMetrics(MissionMetrics, GuardMetrics):
+class ExplorationMetrics(PartsMetrics, GuardMetrics):
     """Metrics of an exploration run.
 
     Args:
@@ -157,7 +157,7 @@ class ExplorationMetrics(MissionMetrics, GuardMetrics):
         ends = (
             self.target_coverage is not None
             or self.target in ("information", "walls")
-            or self.ends_by_parts
+            or any(each.is_end for each in self.parts.values())
             or self.goal_distance is not None
         )
         end = ", finished" if self.is_finished else ", not finished" if ends else ""

@@ -6,6 +6,7 @@ never changed, so a file that was cut off is an earlier state of the study.
 
 import contextlib
 import json
+import math
 import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,8 +19,9 @@ from jaxplore._text import error_reason
 from jaxplore.report.folder import lock_folder
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.search import Search
+from jaxplore.study.tuning.space import distribution
 from jaxplore.study.tuning.study import Study
-from jaxplore.study.tuning.study_content import check_content
+from jaxplore.study.tuning.trials import UNSEEN, VERDICT, make_trial, read_episodes
 
 FORMAT = 2
 """Version of the stored data."""
@@ -31,6 +33,8 @@ _BEGIN = b'{"op_code": '
 """First bytes of a line."""
 _NAME, _ASKED = "jaxplore", "asked"
 """Name of Optuna's study, and its attribute with the definition of the search."""
+
+_STATES = ("done", "given up", "failed")
 
 
 @contextlib.contextmanager
@@ -139,7 +143,7 @@ def _read_former(
             former = study.user_attrs.get(_ASKED)
             difference = None if former is None else _difference(former, asked, str(folder))
             if difference is None:
-                check_content(study, search)
+                _check_content(study, search)
     except Exception as error:
         # Optuna raises errors of many types for lines that are not its own.
         raise ValueError(
@@ -181,3 +185,52 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
         return found
     # JSON has no tuples, so the stored definition comes back with lists.
     return {prefix: list(value) if isinstance(value, tuple) else value}
+
+
+def _check_content(study: Any, search: Search) -> None:
+    """Check that a study of Optuna holds what a search stores; other content is an error."""
+    expected = {each.name: distribution(each) for each in search.space.parameters}
+    directions = [each.name for each in study.directions]
+    _require(directions == ["MINIMIZE"] * len(search.objectives))
+    # An interruption may come before the names are stored.
+    _require(study.metric_names in (None, [str(each) for each in search.objectives]))
+    for number, frozen in enumerate(study.get_trials(deepcopy=False)):
+        trial = make_trial(frozen)
+        _require(trial.number == number)
+        fixed = frozen.system_attrs.get("fixed_params", {})
+        _require(set(fixed) <= set(expected) and set(frozen.params) <= set(expected))
+        _require(all(isinstance(each, int | float | str) for each in fixed.values()))
+        for parameter in search.space.parameters:
+            value = frozen.params.get(parameter.name)
+            _require(value is None or parameter.clip(value) == value)
+        _require(all(each == expected[name] for name, each in frozen.distributions.items()))
+        if trial.state != "running":
+            _require(set(frozen.params) == set(expected) and VERDICT in frozen.user_attrs)
+        _require(trial.state != "done" or len(trial.values) == len(search.objectives))
+        _require(all(_is_number(each) and math.isfinite(each) for each in trial.values))
+        _require(all(map(_is_number, frozen.intermediate_values.values())))
+        for stored in read_episodes(frozen.user_attrs).values():
+            _require(_is_result(stored) and isinstance(stored["is_cut"], bool))
+        if VERDICT in frozen.user_attrs:
+            state, error = frozen.user_attrs[VERDICT]
+            _require(state in _STATES and isinstance(error, str | None))
+    for name, stored in study.user_attrs.items():
+        _require(not name.startswith(UNSEEN) or _is_result(stored))
+
+
+def _require(holds: bool) -> None:
+    if not holds:
+        raise ValueError("its content has another form")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_result(stored: Any) -> bool:
+    metrics = stored["metrics"]
+    return (
+        isinstance(metrics, Mapping)
+        and all(each is None or isinstance(each, int | float) for each in metrics.values())
+        and isinstance(stored["error"], str | None)
+    )
