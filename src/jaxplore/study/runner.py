@@ -33,8 +33,6 @@ class Runner:
     def __init__(
         self, workers: int | None = 1, address: str | None = None, *, on_ray: bool = False
     ) -> None:
-        if workers is not None and workers < 1:
-            raise ValueError(f"workers is {workers}; accepted: a whole number >= 1")
         if workers is not None:
             _checks.positive_int("workers", workers, at_most=MOST_AT_ONCE)
         self._workers, self._address = workers, address

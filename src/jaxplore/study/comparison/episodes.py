@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from jaxplore import _checks
 from jaxplore._spelling import match_spelling
 from jaxplore.settings.accepted_values import choices
 from jaxplore.settings.code_names import is_own
@@ -131,8 +132,7 @@ def make_episodes(
             kinds; an unknown architecture; settings that are not accepted or that no run reads;
             variants with different robots.
     """
-    if batch < 1:
-        raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
+    _checks.positive_int("batch", batch)
     check_number_of_seeds("seeds", seeds)
     check_number_of_runs(len(maps) * len(variants) * len(seeds))
     given: dict[str, list[Any]] = {

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxplore import _checks
 from jaxplore.control.base import Controller
 from jaxplore.parameters import find_parameter, get_parameters, set_parameters, split_index
 from jaxplore.simulation.experiment import Experiment
@@ -16,7 +17,6 @@ from jaxplore.study.tuning.episodes import (
     Episode,
     Episodes,
     Result,
-    check_batch,
     make_tasks,
     report_each,
 )
@@ -49,7 +49,7 @@ class ControllerEpisodes(Episodes):
             raise ValueError("scenarios is empty; accepted: at least one")
         self._controller, self._scenarios = controller, dict(scenarios)
         self._time_limit = time_limit
-        self._batch = check_batch(batch)
+        self._batch = _checks.positive_int("batch", batch)
         self._together = SideBySide(batch) if batch > 1 else None
 
     @property

@@ -191,13 +191,6 @@ def report_each(
     return report
 
 
-def check_batch(batch: int) -> int:
-    """Check that a batch size is at least 1, and return it."""
-    if batch < 1:
-        raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
-    return batch
-
-
 def _sizes(candidate: Candidate) -> str:
     """Return the values that may change the compiled program: all except real numbers."""
     return repr([(name, each) for name, each in candidate.items() if not isinstance(each, float)])

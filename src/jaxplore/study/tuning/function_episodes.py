@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxplore import _checks
 from jaxplore._types import Key
 from jaxplore.parameters import nearest
 from jaxplore.study.experiments import in_batches
-from jaxplore.study.tuning.episodes import Episode, Episodes, Result, check_batch
+from jaxplore.study.tuning.episodes import Episode, Episodes, Result
 from jaxplore.study.tuning.objective import flat
 from jaxplore.study.tuning.space import Candidate, Value
 
@@ -90,7 +91,7 @@ class VectorEpisodes(_Named):
         batch: int = 8,
     ) -> None:
         super().__init__(start, name)
-        self._batch = check_batch(batch)
+        self._batch = _checks.positive_int("batch", batch)
 
         # The function is wrapped once: a new wrapper for every call would compile again.
         @eqx.filter_jit

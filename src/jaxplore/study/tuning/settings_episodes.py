@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxplore import _checks
 from jaxplore.control.base import Controller
 from jaxplore.parameters import get_parameters, nearest, set_parameters
 from jaxplore.settings.code_names import is_own
@@ -23,7 +24,6 @@ from jaxplore.study.tuning.episodes import (
     Episodes,
     MetricsTask,
     Result,
-    check_batch,
     make_tasks,
     report_each,
 )
@@ -80,7 +80,7 @@ class SettingsEpisodes(Episodes):
         if not scenarios:
             raise ValueError("scenarios is empty; accepted: at least one")
         self._scenarios = {name: dict(entries) for name, entries in scenarios.items()}
-        self._runner, self._batch = runner, check_batch(batch)
+        self._runner, self._batch = runner, _checks.positive_int("batch", batch)
         self._together = SideBySide(batch) if batch > 1 else None
         self._common = find_shared_entries(self._scenarios) if common is None else dict(common)
         first = next(iter(self._scenarios.values()))
