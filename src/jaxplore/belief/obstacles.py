@@ -13,6 +13,7 @@ from jaxplore._checks import array, one_each, scalar
 from jaxplore._covariances import covariances
 from jaxplore._types import ArrayLike, Key, Rows, Scalar, Vector
 from jaxplore.geometry.outlines import Outlines
+from jaxplore.geometry.vectors import root
 
 FRESH = 0.5
 """Age at which a plan is no longer believed [s]: its sender has planned anew many times since."""
@@ -228,10 +229,8 @@ class Obstacles(eqx.Module):
         """Radii of the circles about the centres that hold the outlines [m]."""
         away = self.outlines.corners - self.centres[:, None]
         square = jnp.max(jnp.sum(away * away, axis=-1), axis=-1)
-        # The derivative of the root at 0, the centre of a disc, would be NaN.
-        is_zero = square <= 0.0
-        reach = jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
-        return self._if_known(reach + self.outlines.radii, 0.0)
+        # The root is of 0 at the centre of a disc.
+        return self._if_known(root(square) + self.outlines.radii, 0.0)
 
     @property
     def speeds(self) -> Float[Array, " N"]:

@@ -16,6 +16,7 @@ from jaxplore.costs._contact import add_lever, add_up, contact, depth, least, le
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.outlines import nearest
+from jaxplore.geometry.vectors import root
 
 SMALLEST = 1e-3
 """Least width of a Gaussian [m]: a point robot and an exact point obstacle would have width 0."""
@@ -255,8 +256,6 @@ def _gap(obstacle: _Obstacle, points: list[tuple[Scalar, ...]]) -> Scalar:
             # At the centre of a disc the direction is undefined: the sum over both axes is an
             # upper bound of the variance.
             spread = jnp.where(is_zero, xx + yy, variance / jnp.where(is_zero, 1.0, square))
-            is_exact = spread <= 0.0
-            spread = jnp.where(is_exact, 0.0, jnp.sqrt(jnp.where(is_exact, 1.0, spread)))
-            distance = distance - spread
+            distance = distance - root(spread)
         room = jnp.minimum(room, distance)
     return room

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxplore._checks import array, one_each
 from jaxplore._types import Flag, Position, Rows, Scalar, Vector
+from jaxplore.geometry.vectors import root
 
 UNROLL = 8
 """Edges per loop iteration: fewer iterations, yet a short program."""
@@ -165,7 +166,7 @@ def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) 
     (least, off_x, off_y, is_inside), _ = jax.lax.scan(
         take, start, (corners, ends, edges, inverse, run), unroll=UNROLL
     )
-    length = _root(least)
+    length = root(least)
     return Nearest(jnp.where(is_inside, -length, length) - radius, off_x, off_y)
 
 
@@ -176,10 +177,4 @@ def _nearest_of_disc(centre: Float[Array, "2"], radius: Scalar, x: Scalar, y: Sc
     # So far away that the square is infinite, there is no direction, as for a polygon.
     is_far = square >= jnp.inf
     off_x, off_y = (jnp.where(is_far, 0.0, component) for component in (ahead, beside))
-    return Nearest(_root(square) - radius, off_x, off_y)
-
-
-def _root(square: Scalar) -> Scalar:
-    """Return the square root; its slope at 0 is 0."""
-    is_zero = square <= 0.0
-    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
+    return Nearest(root(square) - radius, off_x, off_y)

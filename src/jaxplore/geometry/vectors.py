@@ -9,6 +9,7 @@ import functools
 import operator
 
 import jax.numpy as jnp
+from jax import Array
 
 from jaxplore._types import Scalar
 
@@ -25,10 +26,18 @@ def length(*components: Scalar) -> Scalar:
     """Return the length of a vector, with gradient 0 where it is zero. The length of a vector with
     a NaN component is NaN: a diverged rollout is not at its goal."""
     squared = squared_length(*components)
-    is_zero = squared < TINY
+    return _root_unless(squared < TINY, squared)
+
+
+def root(square: Array) -> Array:
+    """Return the square root, with gradient 0 where it is 0."""
+    return _root_unless(square <= 0.0, square)
+
+
+def _root_unless(is_zero: Array, square: Array) -> Array:
     # Guard the argument as well: the gradient of the square root at 0 is infinite, and `where`
     # would turn it into NaN.
-    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, squared)))
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
 
 
 def angle(x: Scalar, y: Scalar) -> Scalar:

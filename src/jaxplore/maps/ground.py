@@ -13,6 +13,7 @@ from jaxplore._types import ArrayLike, GridMask, GridValues, Position, Scalar, V
 from jaxplore._xla import on_device
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.chassis import Chassis, Stance
+from jaxplore.geometry.vectors import root
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.padding import pad_cells
@@ -244,13 +245,13 @@ def _relief(elevation: GridValues, resolution: Scalar | float) -> tuple[GridValu
     # subtracting it would lose digits where the ground is high; differences of neighbours do not.
     difference, bend = _difference(padded, 0), _bend(padded, 0)
     by_row, by_column = _inner(difference, 1), _inner(_difference(padded, 1), 0)
-    slope = _root(by_row**2 + by_column**2) / (2.0 * resolution)
+    slope = root(by_row**2 + by_column**2) / (2.0 * resolution)
     twist = _difference(difference, 1)
     residual = twist**2 / 4.0
     residual += (_sum(bend, 1) ** 2 + _sum(_bend(padded, 1), 0) ** 2) / 18.0
     residual += (_bend(difference, 1) ** 2 + _difference(bend, 1) ** 2) / 12.0
     residual += _bend(bend, 1) ** 2 / 36.0
-    return slope, _root(residual / 9.0)
+    return slope, root(residual / 9.0)
 
 
 def _difference(values: Array, axis: int) -> Array:
@@ -273,12 +274,6 @@ def _inner(values: Array, axis: int) -> Array:
 def _from(values: Array, axis: int, first: int) -> Array:
     """Return the values from `first` on along an axis, two fewer than the array has."""
     return jax.lax.slice_in_dim(values, first, first + values.shape[axis] - 2, axis=axis)
-
-
-def _root(squared: GridValues) -> GridValues:
-    """Return the square root, with a gradient of 0 at 0."""
-    is_zero = squared <= 0.0
-    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, squared)))
 
 
 def _elevation(value: ArrayLike) -> GridValues:

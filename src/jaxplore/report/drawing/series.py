@@ -12,6 +12,12 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
 
+def find_runs(mask: np.ndarray) -> list[slice]:
+    """Return the slices of successive true entries of a mask (N,)."""
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
+    return [slice(begin, end) for begin, end in changes.reshape(-1, 2).tolist()]
+
+
 def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
     """Compute the moving average (N, ...) over `width` rows around each row, fewer at the ends. The
     width is at least 1; an even one reaches one row further back. Values that are not finite are

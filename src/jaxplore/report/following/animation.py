@@ -28,6 +28,7 @@ from jaxplore.report.drawing.picture import (
     WIDTH,
     pairs,
 )
+from jaxplore.report.drawing.series import find_runs
 from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts
 from jaxplore.report.following.data import PathData, PathFrame, lap_starts, num_laps, speeds
 from jaxplore.report.following.plots import course_box, worst_steps
@@ -183,18 +184,11 @@ def _draw_course(canvas: PathCanvas, view: View) -> Image.Image:
             quad = [left[index], left[index + 1], right[index + 1], right[index]]
             draw.polygon(pairs(np.stack(quad)), FREE)
         for edge, is_near in zip(edges, near, strict=True):
-            for piece in _runs(is_near & np.isfinite(edge).all(axis=1)):
+            for piece in find_runs(is_near & np.isfinite(edge).all(axis=1)):
                 draw_line(view, draw, edge[piece], INK, 1.5)
     for dash in canvas.dashes[view.holds(canvas.dashes[:, 0])]:
         draw_line(view, draw, dash, PALE, 1.5)
     return ground
-
-
-def _runs(mask: np.ndarray) -> list[slice]:
-    """Return the slices of successive true entries of a mask (N,)."""
-    padded = np.concatenate([[False], mask, [False]]).astype(int)
-    changes = np.flatnonzero(np.diff(padded)).tolist()
-    return [slice(begin, end) for begin, end in zip(changes[::2], changes[1::2], strict=True)]
 
 
 def _draw_run(canvas: PathCanvas, view: View, frame: PathFrame, draw: ImageDraw.ImageDraw) -> None:
@@ -203,7 +197,7 @@ def _draw_run(canvas: PathCanvas, view: View, frame: PathFrame, draw: ImageDraw.
     trail = recording.positions[: frame.step + 1]
     draw_line(view, draw, trail, TRAIL, 1.5)
     is_out = np.asarray(recording.records.room[: frame.step]) < 0.0
-    for piece in _runs(is_out):
+    for piece in find_runs(is_out):
         draw_line(view, draw, trail[piece.start : piece.stop + 1], MISSED, 4.0)
     for corners, radius in zip(frame.corners, recording.obstacle_radii.tolist(), strict=True):
         _draw_obstacle(view, draw, corners, radius)

@@ -21,6 +21,7 @@ from jaxplore.report.drawing.colours import (
 )
 from jaxplore.report.drawing.picture import outline_at
 from jaxplore.report.drawing.scale_bar import add_scale_bar
+from jaxplore.report.drawing.series import find_runs
 from jaxplore.report.following.data import PathData, lap_starts, num_laps, speeds
 from jaxplore.report.motion import episodes
 
@@ -61,10 +62,8 @@ def course_box(recording: PathData) -> tuple[np.ndarray, np.ndarray]:
 def worst_steps(margins: ArrayLike) -> np.ndarray:
     """Return the step of the least margin in each interval of successive negative margins (N,)."""
     values = np.asarray(margins, np.float64)
-    below = np.concatenate([[False], values < 0.0, [False]]).astype(int)
-    changes = np.flatnonzero(np.diff(below)).tolist()
-    rows = zip(changes[::2], changes[1::2], strict=True)
-    return np.asarray([begin + np.argmin(values[begin:end]) for begin, end in rows], int)
+    runs = find_runs(values < 0.0)
+    return np.asarray([each.start + np.argmin(values[each]) for each in runs], int)
 
 
 def path_figure(recording: PathData) -> "Figure":

@@ -14,6 +14,7 @@ from jaxplore.report.drawing import colours
 from jaxplore.report.drawing.film import FilmOptions, write_film
 from jaxplore.report.drawing.footer import fonts
 from jaxplore.report.drawing.palette import INK, PAPER, fit_palette
+from jaxplore.report.drawing.series import find_runs
 from jaxplore.report.exploration.localisation import ESTIMATE
 from jaxplore.report.recording import Course, Recording
 from jaxplore.report.volume.data import (
@@ -96,7 +97,7 @@ class VolumeRecording(VolumeData, Recording):
         is_near = np.abs(points - points[-1]) <= BESIDE / self.resolution * pixels
         for line, axis in ((trail, 2), (side, 1)):
             draw.line(line, fill=PALE, width=width)
-            for part in _runs(is_near[:, axis]):
+            for part in find_runs(is_near[:, axis]):
                 draw.line(line[part], fill=TRAIL, width=width)
         if len(plan) > 1:
             ahead = [(x, level.height - y) for x, y in plan.tolist()]
@@ -165,12 +166,6 @@ class VolumeRecording(VolumeData, Recording):
             **({} if self.goal is None else {"goal": self.goal}),
             **({"boxes": self.boxes} if len(self.boxes) else {}),
         }
-
-
-def _runs(mask: np.ndarray) -> list[slice]:
-    """Return the parts of a sequence in which a mask is true."""
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
-    return [slice(begin, end) for begin, end in changes.reshape(-1, 2).tolist()]
 
 
 def _slice_image(states: np.ndarray, pixels: float) -> Image.Image:
