@@ -199,7 +199,8 @@ class CarLattice(Locomotion):
             best = block_maximum(least, stride)
             return best, 0.5 * (best - block_maximum(-least, stride))
 
-        return jax.lax.map(at_heading, along)
+        room: tuple[Array, Array] = jax.lax.map(at_heading, along)
+        return room
 
 
 def in_passage(is_open: Bool[Array, "N H W"], fits: Bool[Array, "N H W"]) -> Bool[Array, "N H W"]:

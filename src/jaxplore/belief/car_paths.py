@@ -298,10 +298,12 @@ def trace_path(
             # At its last pose it stays where it is.
             stays = at._replace(along=length, moves=jnp.array(False))
             further = after._replace(along=after.along + along - length)
-            return jax.tree.map(lambda a, b: jnp.where(after.moves, a, b), further, stays)
+            either: Moving = jax.tree.map(lambda a, b: jnp.where(after.moves, a, b), further, stays)
+            return either
 
         is_over = at.moves & (along >= length)
-        return jax.lax.cond(is_over, turn_over, lambda at: at._replace(along=along), at)
+        after: Moving = jax.lax.cond(is_over, turn_over, lambda at: at._replace(along=along), at)
+        return after
 
     def step(at: Moving, _: None) -> tuple[Moving, DrivenPath]:
         at = jax.lax.fori_loop(0, pieces.astype(jnp.int32), piece, at)

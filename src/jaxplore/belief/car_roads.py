@@ -143,7 +143,8 @@ class CarRoadmap(Roadmap):
         rows = (starts, ends, jnp.asarray(table.via), jnp.asarray(table.length))
         # One motion after the other: all at once would need as many copies of the nodes as there
         # are motions.
-        return jax.lax.map(of_motion, rows)
+        prices: Array = jax.lax.map(of_motion, rows)
+        return prices
 
     def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """Return the least cost-to-go of each node over headings and directions [m]."""

@@ -96,7 +96,10 @@ class CertaintyField(eqx.Module):
         nodes = jnp.stack([x, y], axis=-1).reshape(-1, 2)
         values = jax.vmap(lambda at: self.at(grid, clearance, at))(nodes).reshape(number, number)
         origin = jnp.append(low - 0.5 * self.spacing, 0.0)
-        return eqx.tree_at(lambda each: (each.values, each.frame.origin), blank, (values, origin))
+        field: ScalarField = eqx.tree_at(
+            lambda each: (each.values, each.frame.origin), blank, (values, origin)
+        )
+        return field
 
     def at(self, grid: OccupancyGrid, clearance: ScalarField, position: Position) -> Scalar:
         """Return the information of a scan at a position [1/m^2].

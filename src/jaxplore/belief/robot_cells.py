@@ -44,4 +44,5 @@ def free_around(
     gap = jnp.stack([z, y, x]) - grid.to_grid(position)[:, None, None, None]
     is_in = jnp.sum(gap * gap, axis=0) * side**2 <= (required + 2.0 * side) ** 2
     known = jnp.where(is_in & grid.is_unknown, sensor_model.free, grid.log_odds)
-    return eqx.tree_at(lambda each: each.log_odds, grid, known)
+    freed: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, grid, known)
+    return freed

@@ -76,7 +76,10 @@ class RollingMap(eqx.Module):
         """Return the grid of the window as it was stored, with the resolution of `grid`."""
         log_odds = self.place(shape).read(self.stored).astype(jnp.float32) * self.unit
         corner = self.origin + grid.resolution * jnp.flip(self.offset).astype(jnp.float32)
-        return eqx.tree_at(lambda each: (each.log_odds, each.origin), grid, (log_odds, corner))
+        moved: VoxelGrid = eqx.tree_at(
+            lambda each: (each.log_odds, each.origin), grid, (log_odds, corner)
+        )
+        return moved
 
     def with_window(self, grid: VoxelGrid) -> Int[Array, "D H W"]:
         """Return what is stored of the whole volume, with the grid of the window in its place."""
@@ -85,7 +88,10 @@ class RollingMap(eqx.Module):
     def whole(self, grid: VoxelGrid) -> VoxelGrid:
         """Return the grid of the whole volume, with that of the window in its place."""
         log_odds = self.with_window(grid).astype(jnp.float32) * self.unit
-        return eqx.tree_at(lambda each: (each.log_odds, each.origin), grid, (log_odds, self.origin))
+        known: VoxelGrid = eqx.tree_at(
+            lambda each: (each.log_odds, each.origin), grid, (log_odds, self.origin)
+        )
+        return known
 
     def next_offset(
         self, grid: VoxelGrid, position: Float[Array, "3"], keep: float, block: int

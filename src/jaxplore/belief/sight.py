@@ -28,9 +28,10 @@ def is_in_sight(
         return grid.at(nodes + (part * share)[..., None] * offset) < FREE_THRESHOLD
 
     parts = jnp.linspace(0.0, 1.0, SAMPLES)
-    return jax.lax.fori_loop(
+    clear: Bool[Array, "rows columns"] = jax.lax.fori_loop(
         0,
         SAMPLES,
         lambda k, so_far: so_far & is_clear(parts[k]),
         jnp.ones(distance.shape, bool),
     )
+    return clear

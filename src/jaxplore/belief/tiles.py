@@ -82,7 +82,8 @@ def relax_costs(
 
     # Under `vmap` the maps are processed one after another: each has its own order of tiles.
     one_by_one = jax.custom_batching.sequential_vmap(by_tiles)  # type: ignore[no-untyped-call]
-    return jax.lax.platform_dependent(*arrays, cpu=one_by_one, default=everywhere)
+    value: Array = jax.lax.platform_dependent(*arrays, cpu=one_by_one, default=everywhere)
+    return value
 
 
 def relax_everywhere(
@@ -190,7 +191,8 @@ def _relax_all(
 
 def _barrier(*arrays: Array) -> Sequence[Array]:
     """Return arrays that XLA computes before anything that reads them, and only once."""
-    return jax.lax.optimization_barrier(arrays)  # type: ignore[no-untyped-call]
+    same: Sequence[Array] = jax.lax.optimization_barrier(arrays)  # type: ignore[no-untyped-call]
+    return same
 
 
 def _around(array: Array, margin: int, more: tuple[int, int] = (0, 0)) -> list[tuple[int, int]]:

@@ -80,7 +80,8 @@ class HorizonByClearance(HorizonRule):
 
     def quantity(self, state: State, belief: Any) -> Scalar:
         """Return the distance to the nearest cell that is not known to be free [m]."""
-        return part(belief, "clearance")(state.position)
+        clearance: Scalar = part(belief, "clearance")(state.position)
+        return clearance
 
 
 class HorizonByInformation(HorizonRule):
@@ -92,7 +93,8 @@ class HorizonByInformation(HorizonRule):
     def quantity(self, state: State, belief: Any) -> Scalar:
         """Return the information of a scan from here [nat/beam]."""
         field: InformationField = part(belief, "information")
-        return field(state.position, state.heading) / field.num_beams
+        information: Scalar = field(state.position, state.heading) / field.num_beams
+        return information
 
 
 class AdaptiveHorizon(Controller):
@@ -162,7 +164,8 @@ class AdaptiveHorizon(Controller):
     def at_period(self, control_period: ArrayLike) -> "AdaptiveHorizon":
         """Return a copy of this controller that is called every `control_period` seconds."""
         inner = self.controller.at_period(control_period)
-        return eqx.tree_at(lambda each: each.controller, self, inner)
+        same: AdaptiveHorizon = eqx.tree_at(lambda each: each.controller, self, inner)
+        return same
 
     def steps(self, observation: StateVector, belief: Any = None) -> Count:
         """Return the number of steps H of a plan that begins at an observation (nx,)."""

@@ -184,7 +184,10 @@ class ModelEnsemble(Disturbance):
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Dynamics:
         """Return the M models, repeated for every step."""
         arrays, _ = eqx.partition(self.models, eqx.is_array)
-        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (horizon, *leaf.shape)), arrays)
+        models: Dynamics = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, (horizon, *leaf.shape)), arrays
+        )
+        return models
 
     def step_at(
         self,

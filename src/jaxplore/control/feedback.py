@@ -140,7 +140,8 @@ class FeedbackMPPI(Controller):
         """Return a copy of this controller that is called every `control_period` seconds."""
         period = _checks.scalar("control_period", control_period, above=0.0)
         planner = self.planner.at_period(period * self.commands_per_plan.astype(jnp.float32))
-        return eqx.tree_at(lambda controller: controller.planner, self, planner)
+        same: FeedbackMPPI = eqx.tree_at(lambda controller: controller.planner, self, planner)
+        return same
 
     def step(
         self, state: FeedbackState, observation: StateVector, belief: Any = None, *, key: Key

@@ -102,7 +102,8 @@ class FleetController(Controller):
     def at_period(self, control_period: ArrayLike) -> "FleetController":
         """Return a copy of this controller that is called every `control_period` seconds."""
         own = self.own.map(lambda each: each.at_period(control_period))
-        return eqx.tree_at(lambda at: at.own, self, own)
+        same: FleetController = eqx.tree_at(lambda at: at.own, self, own)
+        return same
 
     def step(
         self,

@@ -344,7 +344,10 @@ class MotionGuard(eqx.Module):
         is_needed = jnp.isfinite(control).all()
         if scan.room is None:
             is_needed = scan.is_point.any() & is_needed
-        return jax.lax.fori_loop(0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args), given)
+        checked: Validated = jax.lax.fori_loop(
+            0, jnp.where(is_needed, 1, 0), lambda *_: self.check(*args), given
+        )
+        return checked
 
     def add_command(self, robot: Dynamics, state: GuardState, control: ControlVector) -> GuardState:
         """Note a command that was sent; NaN where the robot was told to brake."""

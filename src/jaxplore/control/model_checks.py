@@ -93,7 +93,8 @@ def check_call(
     _kinds.instance("state", state, kind, hint="from init() or the last step")
     _kinds.key("key", key)
     if _kinds.is_traced(observation):
-        return observation
+        traced: StateVector = observation
+        return traced
     names = dynamics.state_names
     accepted = f"{len(names)} numbers: {', '.join(names)}"
     if isinstance(observation, (list, tuple)) and _kinds.is_traced(*observation):

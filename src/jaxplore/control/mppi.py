@@ -178,9 +178,10 @@ def auto_mesh(mesh: Mesh) -> Mesh:
 def shard_samples(samples: Samples, mesh: Mesh) -> Samples:
     """Return the samples, sharded over the devices along their last axis."""
     sharding = NamedSharding(mesh, _spec(None, None, mesh.axis_names))
-    return jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
+    shared: Samples = jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
         samples, sharding
     )
+    return shared
 
 
 def map_over_devices(
@@ -207,7 +208,8 @@ def map_over_devices(
         # the check would refuse.
         check_vma=False,
     )
-    return over_devices(initial, controls, arrays)
+    total: Array = over_devices(initial, controls, arrays)
+    return total
 
 
 def check_divisible(num_samples: int, mesh: Mesh) -> None:
@@ -460,7 +462,8 @@ class MPPI(ModelBasedController):
     def at_period(self, control_period: ArrayLike) -> "MPPI":
         """Return a copy of this controller that is called every `control_period` seconds."""
         period = _checks.scalar("control_period", control_period, above=0.0)
-        return eqx.tree_at(lambda controller: controller.control_period, self, period)
+        same: MPPI = eqx.tree_at(lambda controller: controller.control_period, self, period)
+        return same
 
     def resume(self, state: MPPIState, controls: Float[Array, "T0 nu"]) -> MPPIState:
         """Return a state that continues the plan of another MPPI controller, of any horizon.

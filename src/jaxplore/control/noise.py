@@ -46,7 +46,8 @@ class Noise(eqx.Module):
             return sequence
         # Solve with the Cholesky factor, which is more accurate than inverting the covariance.
         factor = jnp.linalg.cholesky(covariance)
-        return jax.scipy.linalg.cho_solve((factor, True), sequence)
+        solved: Array = jax.scipy.linalg.cho_solve((factor, True), sequence)
+        return solved
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` if noise of this shape cannot be drawn; by default any can."""
@@ -67,9 +68,10 @@ class WhiteNoise(Noise):
         """Return noise of shape (P, nu, K)."""
         if math.prod(shape) <= LARGE:
             return jax.random.normal(key, shape)
-        return jax.lax.map(
+        rows: Samples = jax.lax.map(
             lambda row: jax.random.normal(row, shape[1:]), jax.random.split(key, shape[0])
         )
+        return rows
 
     def covariance(self, rows: int) -> None:
         """Return None: all draws are independent."""
@@ -251,7 +253,8 @@ class ColouredNoise(Noise):
         if inner is None:
             return colour
         factor = jnp.linalg.cholesky(colour)
-        return factor @ inner @ factor.T
+        covariance: Array = factor @ inner @ factor.T
+        return covariance
 
     def colour(self, rows: int) -> Float[Array, "P P"]:
         """Return the covariance (P, P) of coloured white noise, with 1 on the diagonal."""

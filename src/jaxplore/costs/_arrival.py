@@ -6,6 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxplore._types import Position, Scalar
 from jaxplore.belief.car_roads import CarGuidance
@@ -91,7 +92,8 @@ def manoeuvre(radius: float, x: Scalar, y: Scalar, turn: Scalar, speed: Scalar) 
     table = jnp.asarray(manoeuvre_table(radius).ravel())
     # A pose that is not finite has no index.
     x, y, turn = (jnp.where(jnp.isfinite(each), each, 0.0) for each in (x, y, turn))
-    return _read(table, x, y, turn, jnp.where(speed < 0.0, TURNS, 0), jnp)
+    cost: Array = _read(table, x, y, turn, jnp.where(speed < 0.0, TURNS, 0), jnp)
+    return cost
 
 
 def _read(table: Any, x: Any, y: Any, turn: Any, first: Any, xp: Any) -> Any:

@@ -47,7 +47,8 @@ def least(value: Callable[[Any], Scalar], items: Any) -> tuple[Scalar, Count]:
 
     start = (jnp.full((), jnp.inf, float), jnp.zeros((), jnp.int32))
     indices = jnp.arange(count, dtype=jnp.int32)
-    return jax.lax.scan(take, start, (items, indices), unroll=UNROLL)[0]
+    result: tuple[Scalar, Count] = jax.lax.scan(take, start, (items, indices), unroll=UNROLL)[0]
+    return result
 
 
 def offset(state: State, point: Array) -> tuple[Scalar, ...]:

@@ -74,7 +74,8 @@ class CollisionCost(Cost):
             centre = state.position
             if lever:
                 centre = jnp.stack(add_lever(tuple(centre), lever))
-            return field(centre)
+            distance: Scalar = field(centre)
+            return distance
 
         # Reduced pairwise and not as an array, which XLA would reduce sample by sample.
         deep = depth(functools.reduce(jnp.minimum, map(clearance, parts)), too_close)

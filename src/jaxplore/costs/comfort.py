@@ -95,7 +95,8 @@ def acceleration(
 
     def velocity(values: Array) -> Array:
         rate = model.derivative(values, control)
-        return jax.jvp(model.position, (values,), (rate,))[1]
+        moved: Array = jax.jvp(model.position, (values,), (rate,))[1]
+        return moved
 
     x, y = jax.jvp(velocity, (state,), (model.derivative(state, control),))[1]
     heading = model.heading(state)

@@ -124,12 +124,13 @@ class MovingObstacleCost(Cost):
         # All samples share the obstacles, so under `jax.vmap` this stays a branch: while none is
         # known, as of robots that are far apart, nothing is computed. It is given what it reads of
         # the states, because XLA would copy whole states into it.
-        return jax.lax.cond(
+        paid: Scalar = jax.lax.cond(
             jnp.any(obstacles.is_known),
             lambda points, too_close: self._evaluate(radius, points, too_close, t, obstacles),
             lambda _, too_close: jnp.zeros_like(too_close),
             *(points, too_close),
         )
+        return paid
 
     def _evaluate(
         self,

@@ -69,7 +69,8 @@ class ObstacleCost(Cost):
             centre = state.place(field.dimensions)
             if lever:
                 centre = jnp.stack(add_lever(tuple(centre), lever))
-            return field(centre)
+            cleared: Scalar = field(centre)
+            return cleared
 
         # Reduced pairwise and not as an array, which XLA would reduce sample by sample.
         distance = functools.reduce(jnp.minimum, map(clearance, levers(state)))

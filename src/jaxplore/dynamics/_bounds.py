@@ -98,7 +98,8 @@ def acceleration_to(
 def shrink(control: ControlVector, bounds: ControlVector) -> ControlVector:
     """Return the control (nu,), shrunk to lie within +-bounds (nu,); it keeps its direction."""
     excess = jnp.max(jnp.abs(control) / bounds)
-    return control / jnp.maximum(excess, 1.0)
+    within: ControlVector = control / jnp.maximum(excess, 1.0)
+    return within
 
 
 def bound_of_speed(robot: Any, *, is_least: bool = False) -> Scalar | None:

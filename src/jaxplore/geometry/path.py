@@ -169,9 +169,10 @@ class Path(eqx.Module):
         Raises:
             ValueError: half widths that are not positive, or of another shape.
         """
-        return eqx.tree_at(
+        same: Path = eqx.tree_at(
             lambda path: path.half_widths, self, _widths(half_widths, self.points.shape[0])
         )
+        return same
 
     @property
     def spacing(self) -> Scalar:

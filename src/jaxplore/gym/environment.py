@@ -75,7 +75,8 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
     @property
     def belief(self) -> Belief:
         """The robot's belief, as jaxplore's controllers read it."""
-        return self.state.belief
+        belief: Belief = self.state.belief
+        return belief
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

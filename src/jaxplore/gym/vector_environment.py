@@ -194,8 +194,14 @@ def _step_each(
     is_vmapped: bool,
 ) -> tuple[EnvironmentState, StepResult]:
     if is_vmapped:
-        return jax.vmap(environment.step)(states, actions, num_steps)
-    return jax.lax.map(lambda row: environment.step(*row), (states, actions, num_steps))
+        together: tuple[EnvironmentState, StepResult] = jax.vmap(environment.step)(
+            states, actions, num_steps
+        )
+        return together
+    in_turn: tuple[EnvironmentState, StepResult] = jax.lax.map(
+        lambda row: environment.step(*row), (states, actions, num_steps)
+    )
+    return in_turn
 
 
 @eqx.filter_jit
@@ -205,4 +211,7 @@ def _rows(states: list[EnvironmentState]) -> EnvironmentState:
 
 @eqx.filter_jit
 def _place(rows: EnvironmentState, place: Count, state: EnvironmentState) -> EnvironmentState:
-    return jax.tree.map(lambda column, leaf: column.at[place].set(leaf), rows, state)
+    placed: EnvironmentState = jax.tree.map(
+        lambda column, leaf: column.at[place].set(leaf), rows, state
+    )
+    return placed

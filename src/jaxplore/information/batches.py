@@ -28,4 +28,5 @@ def over_poses(
     # A single `vmap` over many poses would write its intermediate arrays to main memory.
     if position.shape[0] <= BATCH:
         return jax.vmap(gain)(position, heading)
-    return jax.lax.map(lambda pose: gain(*pose), (position, heading), batch_size=BATCH)
+    values: Array = jax.lax.map(lambda pose: gain(*pose), (position, heading), batch_size=BATCH)
+    return values

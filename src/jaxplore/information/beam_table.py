@@ -209,7 +209,8 @@ class BeamTable(eqx.Module):
                 value = share * read(1, cell) + read(0, cell) * value
             return value
 
-        return jax.lax.fori_loop(0, blocks, nearer, jnp.zeros(shape))
+        value: Array = jax.lax.fori_loop(0, blocks, nearer, jnp.zeros(shape))
+        return value
 
     def _general(self, read: Read, start: Array, shape: tuple[int, int], direction: Array) -> Array:
         """Evaluate the recursion with noise, or without counting no return."""
@@ -293,7 +294,8 @@ def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> n
     Near the sensor several beams cross one cell, and each gets its share."""
     if spacing is None:
         return np.ones_like(entry)
-    return np.minimum(1.0, 0.5 * (entry + exit_) * spacing)
+    share: np.ndarray = np.minimum(1.0, 0.5 * (entry + exit_) * spacing)
+    return share
 
 
 def parts_from(values: Array, first: Array, count: int) -> list[Array]:

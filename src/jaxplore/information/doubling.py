@@ -165,7 +165,8 @@ class Doubling(eqx.Module):
             more = [-size % step if size % step <= middle else 0 for size in (height, width)]
             return jnp.pad(value, [(0, more[0]), (0, more[1])])[middle::step, middle::step]
 
-        return jax.lax.map(direction, jnp.arange(self.period.shape[0]))
+        values: Array = jax.lax.map(direction, jnp.arange(self.period.shape[0]))
+        return values
 
     def _one(self, passing: Array, gain: Array, direction: Array) -> Array:
         """Return the information (H, W) of the beams in one direction, from every cell. Longer than
@@ -205,7 +206,8 @@ class Doubling(eqx.Module):
                 return value
 
             blocks = segment.weight.shape[-1] // UNROLL
-            return jax.lax.fori_loop(0, blocks, nearer, value)
+            result: Array = jax.lax.fori_loop(0, blocks, nearer, value)
+            return result
 
         def pass_period(block: Array, value: Array) -> Array:
             """Multiply by the probability of passing the cells of one period: A."""
@@ -259,7 +261,8 @@ def _shortest_period(angle: float, tolerance: float) -> np.ndarray:
         off = np.arctan2(vectors[:, 0], vectors[:, 1]) - angle
         off = np.abs(np.mod(off + np.pi, 2.0 * np.pi) - np.pi)
         if off.min() <= tolerance:
-            return vectors[np.argmin(off)]
+            nearest: np.ndarray = vectors[np.argmin(off)]
+            return nearest
 
 
 def _segments(rays: list[tuple[np.ndarray, np.ndarray]]) -> Segment:

@@ -314,7 +314,8 @@ class FieldSensor(eqx.Module):
             node = jnp.stack([index * height, jnp.zeros((), jnp.int32)])
             return self._renew(maps, first, node, (height, shape[1]), every, values)
 
-        return jax.lax.fori_loop(0, count, strip, start)
+        values: Values = jax.lax.fori_loop(0, count, strip, start)
+        return values
 
     def _renew(
         self,

@@ -32,9 +32,10 @@ def find_touched_tiles(
 ) -> Bool[Array, "tile_rows tile_columns"]:
     """Return the mask of the tiles that have a changed block within the reach of their beams.
     `changed` has a margin. What a tile's beams reach has `size` blocks on a side; static."""
-    return jax.lax.reduce_window(
+    touched: Array = jax.lax.reduce_window(
         changed, False, jax.lax.bitwise_or, (size, size), (BLOCKS, BLOCKS), "VALID"
     )
+    return touched
 
 
 def group_shape(tiles: tuple[int, int], reach: int, stride: int) -> tuple[int, int]:

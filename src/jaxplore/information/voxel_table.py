@@ -136,7 +136,8 @@ class VoxelTable(eqx.Module):
                     value = share * read(maps[1], place) + read(maps[0], place) * value
                 return value
 
-            return jax.lax.fori_loop(0, blocks, nearer, jnp.zeros(shape))
+            value: Array = jax.lax.fori_loop(0, blocks, nearer, jnp.zeros(shape))
+            return value
 
         values: Array = jax.lax.map(ray, (starts, self.weight, self.count))
         return jnp.sum(values.reshape(self.num_sectors, -1, *shape), axis=1)

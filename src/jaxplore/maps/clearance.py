@@ -94,4 +94,5 @@ def _least_over_shifts(squared: Array, reach: int, axis: int) -> Array:
         shift = (index - reach).astype(jnp.float32)
         return jnp.minimum(least, shifted + shift * shift)
 
-    return jax.lax.fori_loop(0, 2 * reach + 1, closer, squared)
+    least: Array = jax.lax.fori_loop(0, 2 * reach + 1, closer, squared)
+    return least

@@ -115,6 +115,7 @@ class GridFrame(eqx.Module):
         return coarse._of_map(-(-self.map_shape // stride))
 
     def _of_map(self, map_shape: Int[Array | np.ndarray, "2"]) -> "GridFrame":
-        return eqx.tree_at(
+        same: GridFrame = eqx.tree_at(
             lambda frame: frame.map_shape, self, map_shape, is_leaf=lambda leaf: leaf is None
         )
+        return same

@@ -121,13 +121,15 @@ class Ground(eqx.Module):
         filled = [
             on_device(pad_cells("shape", np.asarray(layer), shape, 0.0)) for layer in _layers(self)
         ]
-        return eqx.tree_at(_layers, self, filled)
+        same: Ground = eqx.tree_at(_layers, self, filled)
+        return same
 
     def crop(self, shape: tuple[int, int]) -> "Ground":
         """Return the first rows and columns of the ground, as before `pad`."""
         rows, columns = shape
         kept = [on_device(np.asarray(layer)[:rows, :columns]) for layer in _layers(self)]
-        return eqx.tree_at(_layers, self, kept)
+        same: Ground = eqx.tree_at(_layers, self, kept)
+        return same
 
     @property
     def resolution(self) -> float:

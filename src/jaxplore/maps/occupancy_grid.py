@@ -154,7 +154,10 @@ class OccupancyGrid(eqx.Module):
         filled = pad_cells("shape", values, shape, OUTSIDE)
         same = OccupancyGrid(filled, self.resolution, self.frame.origin)
         rows, columns = values.shape
-        return eqx.tree_at(lambda grid: grid.frame, same, same.frame.pad((rows, columns)))
+        result: OccupancyGrid = eqx.tree_at(
+            lambda grid: grid.frame, same, same.frame.pad((rows, columns))
+        )
+        return result
 
     def unpad(self) -> "OccupancyGrid":
         """Return the map in arrays of its own shape: without the rows and columns off the map."""
@@ -169,7 +172,8 @@ class OccupancyGrid(eqx.Module):
     def with_probability(self, probability: GridValues) -> "OccupancyGrid":
         """Return the grid with other probabilities (H, W); they must be 1 off the map."""
         probability = _checks.of_shape("probability", probability, self.shape)
-        return eqx.tree_at(lambda grid: grid.probability, self, probability)
+        same: OccupancyGrid = eqx.tree_at(lambda grid: grid.probability, self, probability)
+        return same
 
     def with_solid(self, mask: GridMask) -> "OccupancyGrid":
         """Return a true world in which these cells (H, W) are certainly occupied as well."""

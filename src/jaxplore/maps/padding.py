@@ -31,7 +31,8 @@ def pad_cells(
     if min(more) < 0:
         raise ValueError(f"{name} is {shape}; accepted: at least {values.shape[:2]}")
     rest = [(0, 0)] * (values.ndim - 2)
-    return np.pad(values, [(0, more[0]), (0, more[1]), *rest], constant_values=value)
+    padded: np.ndarray = np.pad(values, [(0, more[0]), (0, more[1]), *rest], constant_values=value)
+    return padded
 
 
 def common_shapes(shapes: dict[str, tuple[int, int]], most: int) -> dict[str, tuple[int, int]]:

@@ -113,7 +113,8 @@ class VoxelGrid(eqx.Module):
     def with_solid(self, mask: Bool[Array, "D H W"]) -> "VoxelGrid":
         """Return a true world in which these voxels are certainly occupied as well."""
         log_odds = jnp.where(mask, CERTAIN, self.log_odds)
-        return eqx.tree_at(lambda each: each.log_odds, self, log_odds)
+        solid: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, self, log_odds)
+        return solid
 
     @property
     def is_free(self) -> Bool[Array, "D H W"]:
@@ -169,4 +170,5 @@ def flat_index(voxel: Int[Array, "3 *N"], shape: Sequence[int]) -> Int[Array, "*
     """Return the indices of voxels (k, j, i) in a flattened array (D, H, W). A voxel off the array
     has the index of another one, or none."""
     _, height, width = shape
-    return (voxel[0] * height + voxel[1]) * width + voxel[2]
+    index: Array = (voxel[0] * height + voxel[1]) * width + voxel[2]
+    return index

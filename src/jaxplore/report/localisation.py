@@ -39,7 +39,8 @@ class Alignment(NamedTuple):
 
     def apply(self, points: ArrayLike) -> _Floats:
         """Return points (N, 2) after the motion [m]."""
-        return np.asarray(points, np.float64) @ self.rotation.T + self.translation
+        moved: _Floats = np.asarray(points, np.float64) @ self.rotation.T + self.translation
+        return moved
 
     def inverse(self) -> "Alignment":
         """Return the motion that undoes this one."""
@@ -340,7 +341,8 @@ def _check_maps(
 
 
 def _wrap_angle(angle: _Floats) -> _Floats:
-    return angle - math.tau * np.round(angle / math.tau)
+    wrapped: _Floats = angle - math.tau * np.round(angle / math.tau)
+    return wrapped
 
 
 def _rms(values: _Floats) -> float:
@@ -358,7 +360,8 @@ def _dilate(mask: _Mask) -> _Mask:
     """Return the cells of a mask and the 8 cells around each."""
     from scipy.ndimage import binary_dilation
 
-    return binary_dilation(mask, np.ones((3, 3), bool))
+    grown: _Mask = binary_dilation(mask, np.ones((3, 3), bool))
+    return grown
 
 
 def _are_near(cells: _Cells, others: _Cells, reach: float) -> int:
@@ -384,4 +387,5 @@ def _cells(points: _Floats, grid: OccupancyGrid) -> _Cells:
     frame = Alignment(float(origin[2]), origin[:2])
     at = frame.inverse().apply(points) / grid.resolution
     # A point so far away that its cell has no whole number is off the map in any case.
-    return np.floor(np.clip(at, -1e15, 1e15)[:, ::-1]).astype(np.int64)
+    cells: _Cells = np.floor(np.clip(at, -1e15, 1e15)[:, ::-1]).astype(np.int64)
+    return cells

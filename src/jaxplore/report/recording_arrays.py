@@ -139,7 +139,8 @@ def unpack_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
     if len({len(rows) for rows in jax.tree.leaves(fields["records"])}) > 1:
         raise ValueError("its records differ in length")
     fields["records"] = _name_parts(fields["records"], fields.get("parts", {}))
-    return kind(**fields, frames=_frames(structure, arrays))
+    recording: Recording = kind(**fields, frames=_frames(structure, arrays))
+    return recording
 
 
 def _frames(structure: Any, arrays: Mapping[str, np.ndarray]) -> tuple[Frame, ...]:
@@ -220,7 +221,8 @@ def _make_part(packed: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> P
         for name, value in packed["fields"].items()
     }
     _check_fields(kind, fields)
-    return kind(**fields)
+    report: PartReport = kind(**fields)
+    return report
 
 
 def _name_parts(records: Any, parts: Mapping[str, PartReport]) -> Any:

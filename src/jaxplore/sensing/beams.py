@@ -34,7 +34,8 @@ def fan_angles(number: int, view: float) -> np.ndarray:
     if number == 1:
         return np.zeros(1)
     first = -math.pi if covers_circle(view) else -view / 2.0
-    return first + angle_between(number, view) * np.arange(number)
+    angles: np.ndarray = first + angle_between(number, view) * np.arange(number)
+    return angles
 
 
 class Beams(eqx.Module):

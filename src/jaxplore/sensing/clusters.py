@@ -90,7 +90,8 @@ def has_neighbour(
     is_near = jnp.linalg.norm(points - points[before], axis=-1) <= gap
     behind = jnp.arange(size, dtype=jnp.int32) - former
     is_joined = is_point & is_near & (behind <= max(1, size // FORTIETH)) & (former > -size)
-    return is_joined.at[jnp.where(is_joined, before, size)].set(True, mode="drop")
+    found: Array = is_joined.at[jnp.where(is_joined, before, size)].set(True, mode="drop")
+    return found
 
 
 def _find_former(is_point: Bool[Array, " P"]) -> Int[Array, " P"]:
@@ -100,7 +101,8 @@ def _find_former(is_point: Bool[Array, " P"]) -> Int[Array, " P"]:
     # A running maximum over two rounds, of which the first one counts backwards from the first.
     marks = jnp.concatenate([jnp.where(is_point, index - size, -2 * size)] * 2)
     marks = marks.at[size:].add(jnp.where(is_point, size, 0))
-    return jnp.roll(jax.lax.cummax(marks), 1)[size:]
+    former: Array = jnp.roll(jax.lax.cummax(marks), 1)[size:]
+    return former
 
 
 def _is_behind(

@@ -90,7 +90,8 @@ class LaserLog(NamedTuple):
     def beam_angles(self) -> _Floats:
         """Direction of each beam (B,) relative to the heading [rad]."""
         steps = np.arange(self.ranges.shape[1], dtype=np.float64)
-        return self.angle_min + self.angle_increment * steps
+        angles: _Floats = self.angle_min + self.angle_increment * steps
+        return angles
 
     @property
     def is_corrected(self) -> bool:
@@ -104,7 +105,8 @@ class LaserLog(NamedTuple):
             return self.poses
         yaw = self.odometry[:, 2]
         ahead = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
-        return self.odometry + self.offset * ahead
+        measured: _Floats = self.odometry + self.offset * ahead
+        return measured
 
     @_kinds.check_arguments
     def scan(self, index: int, sensor: Beams) -> Scan:

@@ -128,7 +128,8 @@ class VolumeSensor(eqx.Module):
             return is_clear, is_clear
 
         is_clear = walk(start, jnp.flip(ways.T, axis=0), length, visit, is_near)
-        return is_near & is_shown & is_clear
+        seen: Bool[Array, " M"] = is_near & is_shown & is_clear
+        return seen
 
     def noise_std(self, ranges: Float[Array, " R"]) -> Float[Array, " R"]:
         """Return the standard deviation of ranges [m]."""
@@ -228,7 +229,8 @@ class VolumeSensor(eqx.Module):
         change = jnp.where(seen == HIT, model.occupied, jnp.where(seen == PASSED, model.free, 0.0))
         bounded = jnp.clip(before + change, model.minimum, model.maximum)
         values = window.write(grid.log_odds, jnp.where(seen > 0, bounded, before))
-        return eqx.tree_at(lambda each: each.log_odds, grid, values)
+        known: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, grid, values)
+        return known
 
 
 def ray_ends(sensors: Sequence[VolumeSensor]) -> np.ndarray:

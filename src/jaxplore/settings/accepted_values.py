@@ -29,7 +29,8 @@ def choices(section: type[BaseModel], name: str) -> tuple[str, ...]:
 
 @functools.cache
 def _schema(section: type[BaseModel]) -> dict[str, dict[str, Any]]:
-    return section.model_json_schema()["properties"]
+    properties: dict[str, dict[str, Any]] = section.model_json_schema()["properties"]
+    return properties
 
 
 def _words(schema: dict[str, Any]) -> str:

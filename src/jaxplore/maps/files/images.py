@@ -46,7 +46,8 @@ class Greys(NamedTuple):
         """Brightness of each pixel, (H, W) in [0, 1]; 0 is black."""
         # Look up a table of levels: it is computed in float64 without a float64 copy of the image.
         table = (np.arange(self.full + 1) / self.full).astype(np.float32)
-        return table[self.level]
+        shade: NDArray[np.float32] = table[self.level]
+        return shade
 
 
 def image_size(path: Path) -> tuple[int, int]:

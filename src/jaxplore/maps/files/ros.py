@@ -287,7 +287,8 @@ def _probability(
 def _has_grey(greys: Greys, grey: int) -> NDArray[np.bool_]:
     """Return the pixels of a grey from 0 to 255, rounded."""
     table = np.floor(np.arange(greys.full + 1) * (255 / greys.full) + 0.5) == grey
-    return table[greys.level]
+    found: NDArray[np.bool_] = table[greys.level]
+    return found
 
 
 def _savers_doubt(greys: Greys, probability: NDArray[np.float32]) -> str:

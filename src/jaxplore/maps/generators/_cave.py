@@ -51,6 +51,7 @@ def _noise(
     for scale, weight in ((length, 1.0), (0.35 * length, 0.3)):
         part = ndimage.gaussian_filter(rng.standard_normal(lattice), scale / _LATTICE)
         noise += weight * part / part.std()
-    return ndimage.zoom(
+    zoomed: NDArray[np.float64] = ndimage.zoom(
         noise, np.divide(shape, lattice).tolist(), order=1, mode="nearest", grid_mode=True
     )
+    return zoomed

@@ -52,7 +52,8 @@ def widest_part(free: Mask, radius: float, resolution: float) -> Mask:
         return np.zeros_like(free)
     sizes = np.bincount(pieces.ravel())
     largest = int(sizes[1:].argmax()) + 1
-    return ndimage.distance_transform_edt(pieces != largest)[1:-1, 1:-1] < reach
+    swept: Mask = ndimage.distance_transform_edt(pieces != largest)[1:-1, 1:-1] < reach
+    return swept
 
 
 def disc(diameter: float, resolution: float) -> Mask:

@@ -279,7 +279,8 @@ def _place(
 
 def _disc(size: int) -> NDArray[np.bool_]:
     offset = np.arange(size) - (size - 1) / 2
-    return np.add.outer(offset**2, offset**2) <= (size / 2) ** 2
+    disc: NDArray[np.bool_] = np.add.outer(offset**2, offset**2) <= (size / 2) ** 2
+    return disc
 
 
 def _is_connected(occupied: NDArray[np.bool_], room: Box, wall: int, resolution: float) -> bool:

@@ -179,7 +179,8 @@ def _maze(
     solid[:] = True
 
     def middle(cell: tuple[int, int, int]) -> np.ndarray:
-        return (np.array(cell) + 0.5) * pitch
+        place: np.ndarray = (np.array(cell) + 0.5) * pitch
+        return place
 
     half = 0.5 * pitch - 0.1
 

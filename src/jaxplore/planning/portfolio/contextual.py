@@ -141,7 +141,8 @@ class Contextual(Fusion):
         if self.goal is None:
             return jnp.asarray(False)
         distance = jnp.linalg.norm(situation.state.position - self.goal)
-        return distance < self.near_goal * jnp.where(held, 1.0 + self.hysteresis, 1.0)
+        is_near: Flag = distance < self.near_goal * jnp.where(held, 1.0 + self.hysteresis, 1.0)
+        return is_near
 
     def _near_obstacle(self, situation: Situation, held: Flag) -> Flag:
         state, belief = situation.state, situation.belief
@@ -152,14 +153,16 @@ class Contextual(Fusion):
         centres = position + footprint.offsets[:, None] * ahead
         room = jnp.min(jax.vmap(belief.clearance)(centres)) - footprint.radius
         # A rule that holds gets a threshold that is easier to meet.
-        return room < self.near_obstacle * jnp.where(held, 1.0 + self.hysteresis, 1.0)
+        is_near: Flag = room < self.near_obstacle * jnp.where(held, 1.0 + self.hysteresis, 1.0)
+        return is_near
 
     def _is_rich(self, situation: Situation, held: Flag) -> Flag:
         field, state = situation.belief.information, situation.state
         # Per beam, so that the threshold holds for sensors with any number of beams.
         information = field(state.position, state.heading) / field.num_beams
         least = self.rich_information * jnp.where(held, 1.0 / (1.0 + self.hysteresis), 1.0)
-        return information > least
+        is_rich: Flag = information > least
+        return is_rich
 
     def check(self, names: tuple[str, ...]) -> None:
         """Raise a `ValueError` if the fusion was made for other member names."""

@@ -77,4 +77,5 @@ class InformationDensity(Fusion):
                 jax.vmap(information_at)(rollout_states(model, state.values, controls, dt))
             )
 
-        return jax.vmap(density)(candidates.controls)
+        found: Array = jax.vmap(density)(candidates.controls)
+        return found

@@ -170,7 +170,8 @@ class MemberControllers(eqx.Module):
 
     def init(self) -> MPPIState:
         """Return the initial states of the members."""
-        return jax.vmap(lambda index: self.member(index).init())(self.indices)
+        states: MPPIState = jax.vmap(lambda index: self.member(index).init())(self.indices)
+        return states
 
     def member(self, index: int | Array) -> MPPI:
         """Return a member as an MPPI controller with J_hard as its cost; `index` may be traced."""

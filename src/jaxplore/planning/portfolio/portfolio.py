@@ -209,7 +209,8 @@ class Portfolio(Controller):
     def at_period(self, control_period: ArrayLike) -> "Portfolio":
         """Return a copy of this controller that is called every `control_period` seconds."""
         mppi = self.members.mppi.at_period(control_period)
-        return eqx.tree_at(lambda portfolio: portfolio.members.mppi, self, mppi)
+        same: Portfolio = eqx.tree_at(lambda portfolio: portfolio.members.mppi, self, mppi)
+        return same
 
     def single(self, name: str, spread: Vector | None = None) -> MPPI:
         """Return one member as an MPPI controller of its own, with its weighted objectives.
@@ -234,7 +235,8 @@ class Portfolio(Controller):
             )
         )
         total = SumCost((*terms, member.cost))
-        return eqx.tree_at(lambda mppi: mppi.cost, member, total)
+        single: MPPI = eqx.tree_at(lambda mppi: mppi.cost, member, total)
+        return single
 
     def step(
         self,

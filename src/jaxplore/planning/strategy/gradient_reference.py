@@ -112,7 +112,8 @@ def _climb(
     is_clear = jax.vmap(functools.partial(_is_clear, grid, position))(after)
     # The field must rise too: a step over the top of a maximum would lead back and forth.
     is_allowed = is_clear & (jax.vmap(field)(after) > field(position)) & (scale > 0.0)
-    return jnp.where(is_allowed.any(), after[jnp.argmax(is_allowed)], position)
+    result: Array = jnp.where(is_allowed.any(), after[jnp.argmax(is_allowed)], position)
+    return result
 
 
 def _rotate(x: Scalar, y: Scalar, yaw: Scalar) -> Position:

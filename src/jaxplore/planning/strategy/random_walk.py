@@ -66,7 +66,8 @@ class RandomWalk(Controller):
     def at_period(self, control_period: ArrayLike) -> "RandomWalk":
         """Return a copy of this controller that is called every `control_period` seconds."""
         mppi = self.mppi.at_period(control_period)
-        return eqx.tree_at(lambda controller: controller.mppi, self, mppi)
+        same: RandomWalk = eqx.tree_at(lambda controller: controller.mppi, self, mppi)
+        return same
 
     def step(
         self,

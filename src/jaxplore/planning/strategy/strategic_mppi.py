@@ -74,7 +74,8 @@ class StrategicMPPI(Controller):
         strategy period must be a whole number of these periods."""
         mppi = self.mppi.at_period(control_period)
         _check_periods(self.strategy_period, mppi.control_period)
-        return eqx.tree_at(lambda each: each.mppi, self, mppi)
+        same: StrategicMPPI = eqx.tree_at(lambda each: each.mppi, self, mppi)
+        return same
 
     def init(self) -> InformativeState:
         """Return the initial state. The strategic layer runs in the first step."""

@@ -172,7 +172,8 @@ class TargetController(Controller):
     def at_period(self, control_period: ArrayLike) -> "TargetController":
         """Return a copy of this controller that is called every `control_period` seconds."""
         tracker = self.tracker.at_period(control_period)
-        return eqx.tree_at(lambda explorer: explorer.tracker, self, tracker)
+        same: TargetController = eqx.tree_at(lambda explorer: explorer.tracker, self, tracker)
+        return same
 
     def step(
         self, state: TargetState, observation: StateVector, belief: Any = None, *, key: Key

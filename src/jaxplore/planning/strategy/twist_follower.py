@@ -120,7 +120,8 @@ class TwistFollower(Follower):
             move = _solve_bounded(normal, slope.T @ (weight * (wanted - found)), low, high)
             return control + half_range * move
 
-        return jax.lax.fori_loop(0, ITERATIONS, improve, dynamics.default_control)
+        result: ControlVector = jax.lax.fori_loop(0, ITERATIONS, improve, dynamics.default_control)
+        return result
 
     def _compute_twist(
         self,
@@ -167,7 +168,8 @@ def _solve_bounded(
             x = x.at[index].set(jnp.clip(x[index] + step, low[index], high[index]))
         return x
 
-    return jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros(normal.shape[0]))
+    result: Array = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros(normal.shape[0]))
+    return result
 
 
 def drives(dynamics: Dynamics) -> bool:

@@ -101,7 +101,8 @@ class GoalApproach(ModelBasedController):
         if belief.obstacles is None:
             return is_free
         state = State(observation, self.dynamics, self.dynamics.default_control)
-        return is_free & (MovingObstacleCost().room(state, belief.obstacles) > AWAY)
+        is_alone: Flag = is_free & (MovingObstacleCost().room(state, belief.obstacles) > AWAY)
+        return is_alone
 
     def inspect(
         self,

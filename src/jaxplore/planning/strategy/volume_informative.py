@@ -97,19 +97,21 @@ class VolumeInformativeMPPI(StrategicMPPI):
     def path(self, reference: Float[Array, "T 3"]) -> Float[Array, "T 3"]:
         """Return positions of the reference in the frame of the model, z down [m]."""
         # A mirror in z is its own inverse.
-        return jax.vmap(position_upwards)(reference)
+        mirrored: Float[Array, "T 3"] = jax.vmap(position_upwards)(reference)
+        return mirrored
 
     def follower_of(self, plan: VolumeStrategicPlan) -> Follower | None:
         """Return the follower, which turns to the heading of the plan where the reference stands
         still."""
         if self.follower is None:
             return None
-        return eqx.tree_at(
+        turned: Follower = eqx.tree_at(
             lambda each: each.heading,
             self.follower,
             plan.heading,
             is_leaf=lambda leaf: leaf is None,
         )
+        return turned
 
     def blank_plan(self) -> VolumeStrategicPlan:
         """Return a plan without information, at the origin."""
@@ -164,7 +166,8 @@ class VolumeInformativeMPPI(StrategicMPPI):
     @property
     def _nothing(self) -> VolumeField:
         """A field without information on the lattice of the viewpoints, 0 off it."""
-        return eqx.tree_at(lambda each: each.outside, self.blank, jnp.zeros(()))
+        field: VolumeField = eqx.tree_at(lambda each: each.outside, self.blank, jnp.zeros(()))
+        return field
 
 
 def _best_heading(belief: VolumeBelief, at: Float[Array, "3"], heading: Scalar) -> Scalar:

@@ -197,7 +197,8 @@ class VolumeData(PartsData):
         """Yaws (N + 1,) of the robot, the start included [rad]."""
         states = np.concatenate([self.start[None], self.records.state]).astype(np.float64)
         w, x, y, z = (states[:, self.state_names.index(name)] for name in ("qw", "qx", "qy", "qz"))
-        return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        yaws: np.ndarray = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return yaws
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

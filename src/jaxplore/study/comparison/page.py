@@ -247,7 +247,10 @@ def _ink(number: int, robots: int) -> str:
 
 
 def _colour(grid: OccupancyGrid, part: Part) -> np.ndarray:
-    return belief_colours()[np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)]
+    colours: np.ndarray = belief_colours()[
+        np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)
+    ]
+    return colours
 
 
 def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np.ndarray]:

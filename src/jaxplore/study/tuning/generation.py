@@ -186,4 +186,5 @@ class Generations:
 
 
 def _read_reports(study: Any, number: int) -> Mapping[int, float]:
-    return study.get_trials(deepcopy=False)[number].intermediate_values
+    found: Mapping[int, float] = study.get_trials(deepcopy=False)[number].intermediate_values
+    return found
