@@ -145,8 +145,10 @@ class MissingPartError(ValueError):
 
 
 def part(belief: Any, name: str) -> Any:
-    """Return a field of a `Belief` or the state of a part, or an attribute of any other object. If
-    the part is absent, or the belief is None, the `MissingPartError` names its source."""
+    """Return a field of a `Belief` or the state of a part, or an attribute of any other object.
+
+    If the part is absent, or the belief is None, the `MissingPartError` names its source.
+    """
     found = getattr(belief, name, None)
     if found is None:
         found = getattr(belief, "parts", {}).get(name)

@@ -73,8 +73,10 @@ def motion_table(radius: float) -> MotionTable:
 
 @functools.cache
 def motions_from(radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the motions that begin at each heading (N, R), and which are some. A
-    heading with fewer motions than others has its first one several times."""
+    """Return the numbers of the motions that begin at each heading (N, R), and which are some.
+
+    A heading with fewer motions than others has its first one several times.
+    """
     own: list[list[int]] = [[] for _ in HEADINGS]
     for number, each in enumerate(motions(radius)):
         own[each.start].append(number)
@@ -265,9 +267,11 @@ def trace_path(
     steps: Float[Array, "2"],
     num_steps: int,
 ) -> DrivenPath:
-    """Return the path after 1 ... T steps to the lattice and along the cheapest motions. The path
-    ends where no motion lowers the cost. Without a way the car stands at its pose. `steps` are the
-    lengths of a step forwards and of a step backwards [m]."""
+    """Return the path after 1 ... T steps to the lattice and along the cheapest motions.
+
+    The path ends where no motion lowers the cost. Without a way the car stands at its pose. `steps`
+    are the lengths of a step forwards and of a step backwards [m].
+    """
     spacing = frame.resolution
     lengths = jnp.asarray(motion_table(tree.radius).length)
     way = tree.radius * start.pieces.sum()
@@ -387,8 +391,10 @@ def with_channel(
 
 
 def _next(tree: DescentTree, direction: Count, body: Count, corner: Int[Array, "2"]) -> Moving:
-    """Return the beginning of the cheapest motion from a pose of the lattice. `direction` is the
-    direction of travel up to here."""
+    """Return the beginning of the cheapest motion from a pose of the lattice.
+
+    `direction` is the direction of travel up to here.
+    """
     directions, _, height, width = tree.costs.shape
     table = motion_table(tree.radius)
     numbers, is_motion = motions_from(tree.radius)

@@ -86,8 +86,10 @@ class CarRoadmap(Roadmap):
         ]
 
         def by_motion(values: Array, outside: float | bool) -> Array:
-            """Return (N, D, h, w) by heading of motion from (N, H, W) by heading of the body. All
-            arrays get the margin of a sweep and whole tiles once, here."""
+            """Return (N, D, h, w) by heading of motion from (N, H, W) by heading of the body.
+
+            All arrays get the margin of a sweep and whole tiles once, here.
+            """
             values = jnp.pad(values, ((0, 0), *beside), constant_values=outside)
             return jnp.stack([jnp.roll(values, -body, axis=0) for body in bodies], axis=1)
 
@@ -163,8 +165,10 @@ class CarRoadmap(Roadmap):
         return self.starts(jnp.append(point, heading))
 
     def starts(self, pose: Pose) -> Float[Array, "N H W"]:
-        """Return how far the open poses nearest to a pose (x, y, yaw) are from it [m]. A turn
-        counts as the arc that the car drives meanwhile. All other poses are infinite."""
+        """Return how far the open poses nearest to a pose (x, y, yaw) are from it [m].
+
+        A turn counts as the arc that the car drives meanwhile. All other poses are infinite.
+        """
         frame, spacing = self.frame, self.frame.resolution
         turn = jnp.asarray(HEADINGS, jnp.float32) - (pose[2] - frame.origin[2])
         turn = jnp.abs(jnp.mod(turn + math.pi, math.tau) - math.pi)
@@ -328,9 +332,11 @@ def _turn_over(costs: Float[Array, "N D H W"], reversal: Scalar) -> Float[Array,
 
 
 def _extend(costs: Float[Array, "D N H W"], step: Scalar) -> Float[Array, "D N H W"]:
-    """Fill closed poses from the poses around them, so that interpolation stays finite. Each layer
-    gets the greatest finite value around it plus `step`. Poses that are still infinite get the
-    greatest finite value of all. Costs without a finite value become 0."""
+    """Fill closed poses from the poses around them, so that interpolation stays finite.
+
+    Each layer gets the greatest finite value around it plus `step`. Poses that are still infinite
+    get the greatest finite value of all. Costs without a finite value become 0.
+    """
     greatest = jnp.max(jnp.where(jnp.isfinite(costs), costs, -jnp.inf))
 
     def layer(_: Array, current: Array) -> Array:

@@ -84,7 +84,9 @@ class CertaintyField(eqx.Module):
         self, grid: OccupancyGrid, clearance: ScalarField, position: Position
     ) -> ScalarField:
         """Return the field around the robot's position; off it the value is that of its edge.
-        `clearance` is the distance to the nearest cell that is not known to be free [m]."""
+
+        `clearance` is the distance to the nearest cell that is not known to be free [m].
+        """
         blank = self.blank()
         number = blank.values.shape[0]
         half = number // 2

@@ -23,8 +23,10 @@ def blocks(values: Array, side: int) -> Array:
 
 
 def coarse_states(grid: VoxelGrid, pool: int) -> Int[Array, "D2 H2 W2"]:
-    """Return the states of the coarser voxels of a grid, with `pool` voxels on a side; static. A
-    coarser voxel is occupied if any of its voxels is, and free if all of them are."""
+    """Return the states of the coarser voxels of a grid, with `pool` voxels on a side; static.
+
+    A coarser voxel is occupied if any of its voxels is, and free if all of them are.
+    """
     is_free = blocks(grid.is_free, pool).all(axis=-1)
     is_occupied = blocks(grid.is_occupied, pool).any(axis=-1)
     state = jnp.where(is_occupied, OCCUPIED, jnp.where(is_free, FREE, UNKNOWN))
@@ -45,9 +47,11 @@ def coarse_shape(shape: Sequence[int], pool: int) -> tuple[int, int, int]:
 def align_window(
     corner: Int[Array, "3"], shape: Sequence[int], map_shape: tuple[int, int, int], pool: int
 ) -> Window:
-    """Return a window that begins with a whole coarser voxel, also where it is moved inwards. It
-    may begin up to a coarser voxel, of `pool` voxels on a side, before the voxel `corner` (k, j,
-    i). After `corner` it has at least `shape` voxels. All but `corner` is static."""
+    """Return a window that begins with a whole coarser voxel, also where it is moved inwards.
+
+    It may begin up to a coarser voxel, of `pool` voxels on a side, before the voxel `corner`
+    (k, j, i). After `corner` it has at least `shape` voxels. All but `corner` is static.
+    """
     sizes = []
     for wanted, most in zip(shape, map_shape, strict=True):
         size = wanted + pool
@@ -63,8 +67,10 @@ def update_coarse(
     pool: int,
 ) -> tuple[Shaped[Array, "D2 H2 W2"], Bool[Array, "d2 h2 w2"], Window]:
     """Return coarser voxels with new ones in a window, which of these changed, and their window.
+
     The argument `window` is one of `align_window`, in voxels. `pool` voxels are on a side of a
-    coarser one; static."""
+    coarser one; static.
+    """
     shape = coarse_shape(window.shape, pool)
     target = Window.at(window.corner // pool, shape, coarse_shape(window.map_shape, pool))
     old, coarse = read_first(target, coarse)
@@ -82,9 +88,11 @@ def update_coarse(
 def find_stale_columns(
     changed: Bool[Array, "H2 W2"], reach: int, first: int, stride: int, shape: tuple[int, int]
 ) -> Bool[Array, "H W"]:
-    """Return which columns of nodes have a changed column of coarser voxels within their reach. The
-    reach along each axis, the place of the first node and the stride between nodes are in coarser
-    voxels. `shape` are the rows and columns of nodes. All but `changed` is static."""
+    """Return which columns of nodes have a changed column of coarser voxels within their reach.
+
+    The reach along each axis, the place of the first node and the stride between nodes are in
+    coarser voxels. `shape` are the rows and columns of nodes. All but `changed` is static.
+    """
     touched = changed
     for axis, (size, number) in enumerate(zip(changed.shape, shape, strict=True)):
         last = first + (number - 1) * stride

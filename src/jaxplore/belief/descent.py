@@ -15,15 +15,19 @@ NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -
 
 def corner_of(step: tuple[int, int]) -> tuple[int, int]:
     """Return where the corner that a diagonal step passes is in a mask of corners, from its start.
-    Entry (r, c) of such a mask is the corner between the nodes (r, c) and (r + 1, c + 1)."""
+
+    Entry (r, c) of such a mask is the corner between the nodes (r, c) and (r + 1, c + 1).
+    """
     return min(step[0], 0), min(step[1], 0)
 
 
 def find_predecessors(
     mask: Bool[Array, "H W"], step: tuple[int, int], corners: Bool[Array, "H W"]
 ) -> Bool[Array, "H W"]:
-    """Return the nodes from which a step leads to a node of a mask. A diagonal step must pass a
-    corner of the mask `corners`."""
+    """Return the nodes from which a step leads to a node of a mask.
+
+    A diagonal step must pass a corner of the mask `corners`.
+    """
     there = neighbour(mask, step)
     return there & neighbour(corners, corner_of(step)) if all(step) else there
 
@@ -73,8 +77,10 @@ def extend(
 
 
 def _saddles(value: Float[Array, "H W"], corners: Bool[Array, "H W"] | None) -> Float[Array, "H W"]:
-    """Return the cost at the closed nodes beside diagonal steps between two closed nodes. It is the
-    smallest mean of the two ends of such a step, and infinite at all other nodes."""
+    """Return the cost at the closed nodes beside diagonal steps between two closed nodes.
+
+    It is the smallest mean of the two ends of such a step, and infinite at all other nodes.
+    """
     height, width = value.shape
     padded = jnp.pad(value, 1, constant_values=jnp.inf)
 

@@ -48,14 +48,18 @@ def with_given_up(
     patience: Scalar,
 ) -> Float[Array, "*N"]:
     """Return the dwell time, longer where looks have taken away the worth of a place [s].
+
     `GIVEN_UP` times the patience [s] is added where the discounted information of a scan was at
-    least `min_information` at the last update (`before`) and is less now [nat]."""
+    least `min_information` at the last update (`before`) and is less now [nat].
+    """
     least = min_information / dwell_discount(dwell, patience)
     is_given_up = (before >= least) & (information < least)
     return jnp.where(is_given_up, dwell + GIVEN_UP * patience, dwell)
 
 
 def dwell_discount(dwell: Float[Array, "*N"], patience: Scalar) -> Float[Array, "*N"]:
-    """Return the factor `exp(-dwell / patience)` on information near which the robot has stayed. It
-    makes the robot give up what it cannot observe."""
+    """Return the factor `exp(-dwell / patience)` on information near which the robot has stayed.
+
+    It makes the robot give up what it cannot observe.
+    """
     return jnp.exp(-dwell / patience)

@@ -95,8 +95,10 @@ def information_sources(
 
 
 def leads_to_goal(field: GuidanceField, position: Position) -> Flag:
-    """Return whether the next source that an exploration field leads to is its goal. It is if the
-    cost-to-go shows that only the goal or leftovers are reachable."""
+    """Return whether the next source that an exploration field leads to is its goal.
+
+    It is if the cost-to-go shows that only the goal or leftovers are reachable.
+    """
     # Half the detour tells sources that have one, the goal and leftovers, from all others. Off the
     # map the cost is `outside`, which says nothing about the sources.
     cost = field(position)

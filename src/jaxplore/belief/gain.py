@@ -18,8 +18,10 @@ class Gain(NamedTuple):
     since: Scalar
 
     def update(self, share: Scalar, period: Scalar, is_sent: Flag | None = None) -> "Gain":
-        """Return the last progress one period [s] later, with the share of that time. The time of a
-        robot that is sent somewhere does not count."""
+        """Return the last progress one period [s] later, with the share of that time.
+
+        The time of a robot that is sent somewhere does not count.
+        """
         if is_sent is not None:
             period = jnp.where(is_sent, 0.0, period)
         is_more: Flag = share >= self.share + LEAST_GAIN

@@ -105,9 +105,11 @@ def descent_field(
     num_layers: int,
     corners: Bool[Array, "H W"] | None = None,
 ) -> GuidanceField:
-    """Return a cost-to-go on a lattice as a field, extended into closed nodes by `num_layers`. The
-    cost-to-go is that of `geodesic` [m], infinite at closed nodes. A diagonal step may pass the
-    `corners` of `clear_corners`; all when None."""
+    """Return a cost-to-go on a lattice as a field, extended into closed nodes by `num_layers`.
+
+    The cost-to-go is that of `geodesic` [m], infinite at closed nodes. A diagonal step may pass the
+    `corners` of `clear_corners`; all when None.
+    """
     # Rotate the descent from the axes of the lattice to those of the world.
     along_row, along_column = descent(distance, num_layers, corners)
     cos, sin = jnp.cos(frame.origin[2]), jnp.sin(frame.origin[2])

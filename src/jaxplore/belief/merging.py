@@ -25,8 +25,10 @@ SAME = 5e-6
 
 def log_odds_change(model: InverseSensorModel, before: GridValues, now: GridValues) -> GridValues:
     """Return the change of the log-odds between two maps of one robot, given as probabilities.
+
     `before` is the map after the last merge, `now` that after scans of its own since then. The
-    change is exactly 0 in cells that have not changed."""
+    change is exactly 0 in cells that have not changed.
+    """
     return jnp.where(now == before, 0.0, model.log_odds(now) - model.log_odds(before))
 
 

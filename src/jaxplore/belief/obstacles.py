@@ -46,9 +46,11 @@ class Plans(NamedTuple):
         return self.age < FRESH
 
     def shift(self, t: Scalar) -> Float[Array, "N 2"]:
-        """Return how far each obstacle moves within `t` seconds from now [m]. The difference of two
-        planned positions, not a position: what was measured since the plan was made corrects where
-        it begins. At its end an obstacle stays."""
+        """Return how far each obstacle moves within `t` seconds from now [m].
+
+        The difference of two planned positions, not a position: what was measured since the plan
+        was made corrects where it begins. At its end an obstacle stays.
+        """
         return self._at(self.age + t) - self._at(self.age)
 
     def advance(self, elapsed: Scalar) -> "Plans":

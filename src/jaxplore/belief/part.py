@@ -45,8 +45,11 @@ ERRAND_RADIUS = 0.3
 
 
 class Errand(NamedTuple):
-    """A place, (x, y) or (x, y, z) with z up [m], to which a part sends the robot. If `is_due`, the
-    robot must go there now, before all else, and come to rest within `ERRAND_RADIUS`."""
+    """A place, (x, y) or (x, y, z) with z up [m], to which a part sends the robot.
+
+    If `is_due`, the robot must go there now, before all else, and come to rest within
+    `ERRAND_RADIUS`.
+    """
 
     place: Float[Array, " D"]
     is_due: Flag

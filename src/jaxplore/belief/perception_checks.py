@@ -65,9 +65,12 @@ def safe_stride(
 def narrow_clearance(
     radius: Scalar, margin: Scalar, stride: int, resolution: float, *, has_corners: bool
 ) -> Scalar:
-    """Return the clearance from which a robot takes narrow passages [m]. It is `radius +
-    NARROW_SHARE margin`, and at least `narrowest`. Other paths keep `margin` [m] beyond the radius
-    of the robot's disc. With `has_corners`, paths are checked at the corners of blocks."""
+    """Return the clearance from which a robot takes narrow passages [m].
+
+    It is `radius + NARROW_SHARE margin`, and at least `narrowest`. Other paths keep `margin` [m]
+    beyond the radius of the robot's disc. With `has_corners`, paths are checked at the corners of
+    blocks.
+    """
     least = narrowest(stride, resolution, has_corners=has_corners)
     return compute(
         lambda xp, *each: xp.maximum(each[0] + NARROW_SHARE * each[1], xp.float32(least)),

@@ -90,9 +90,11 @@ def narrow_passages(
 
 
 def _relax(value: Array, half: Array, detour: Array | None = None) -> Array:
-    """Return the least cost-to-go by a step to a neighbour. All arrays have a margin of 1. `half`
-    is half the cost of a step of one node spacing, and `detour` what a diagonal step past each
-    corner costs more; 0 when None."""
+    """Return the least cost-to-go by a step to a neighbour. All arrays have a margin of 1.
+
+    `half` is half the cost of a step of one node spacing, and `detour` what a diagonal step past
+    each corner costs more; 0 when None.
+    """
     height, width = value.shape[0] - 2, value.shape[1] - 2
 
     def shift(values: Array, down: int, right: int) -> Array:
@@ -140,21 +142,27 @@ class Roadmap(eqx.Module):
 
     def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
-        `source` is the cost at the nodes where paths may end [m]; infinite elsewhere."""
+
+        `source` is the cost at the nodes where paths may end [m]; infinite elsewhere.
+        """
         source = jnp.where(self.is_open, source, jnp.inf)
         return geodesic(source, self.slowness, self.is_passable, self.corners)
 
     def lengths_from(self, pose: Pose) -> Float[Array, "H W"]:
-        """Return the cost of the path from a pose (x, y, yaw) to each node [m]. It may begin at a
-        narrow node."""
+        """Return the cost of the path from a pose (x, y, yaw) to each node [m].
+
+        It may begin at a narrow node.
+        """
         begin = point_sources(pose[:2], self.frame, self.is_passable, self.corners)
         return geodesic(begin, self.slowness, self.is_passable, self.corners)
 
     def sources_at(
         self, point: Position, heading: Scalar | None = None
     ) -> Float[Array, "*headings H W"]:
-        """Return the sources of paths that end at a point (x, y) [m], see `point_sources`. Only a
-        robot that cannot turn on the spot must drive for a heading there [rad]; None: any."""
+        """Return the sources of paths that end at a point (x, y) [m], see `point_sources`.
+
+        Only a robot that cannot turn on the spot must drive for a heading there [rad]; None: any.
+        """
         return point_sources(point, self.frame, self.is_open, self.corners)
 
     @property
@@ -163,9 +171,11 @@ class Roadmap(eqx.Module):
         return self.is_open if self.is_narrow is None else self.is_open | self.is_narrow
 
     def field(self, source: Float[Array, "H W"], start: Position | None = None) -> GuidanceField:
-        """Return the cost-to-go of `lengths` as a field, extended into closed nodes. Narrow nodes
-        are closed unless a path leads through them. The path of a robot at `start` (x, y) [m] may
-        also begin at one."""
+        """Return the cost-to-go of `lengths` as a field, extended into closed nodes.
+
+        Narrow nodes are closed unless a path leads through them. The path of a robot at `start`
+        (x, y) [m] may also begin at one.
+        """
         return self._extend(self.lengths(source), start)
 
     def field_and_cost(
@@ -216,10 +226,12 @@ class Locomotion(eqx.Module):
         price: Price = double_where_tight,
         factor: Float[Array, "H W"] | None = None,
     ) -> Roadmap:
-        """Build the lattice of places in which the robot fits, with one node per block of cells. A
-        node is open if the robot fits at any cell of its block, of `stride` cells on a side;
+        """Build the lattice of places in which the robot fits, with one node per block of cells.
+
+        A node is open if the robot fits at any cell of its block, of `stride` cells on a side;
         static. `price`, the cost of a metre by tightness, keeps paths in the middle of passages.
-        `factor` multiplies the cost of each node; 1 when None."""
+        `factor` multiplies the cost of each node; 1 when None.
+        """
 
     @abc.abstractmethod
     def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> GuidanceField:
@@ -227,9 +239,11 @@ class Locomotion(eqx.Module):
 
 
 class TurnsOnTheSpot(Locomotion):
-    """Locomotion of a robot whose paths do not depend on its heading. Below the required clearance
-    paths lead through passages at `NARROW_PRICE` down to `narrow` [m], at least `narrowest`; not at
-    all when None."""
+    """Locomotion of a robot whose paths do not depend on its heading.
+
+    Below the required clearance paths lead through passages at `NARROW_PRICE` down to `narrow` [m],
+    at least `narrowest`; not at all when None.
+    """
 
     narrow: Scalar | None = None
 
@@ -271,8 +285,10 @@ def block_maximum(values: Float[Array, "H W"], stride: int) -> Float[Array, "row
 
 
 def fit(room: Float[Array, "*S"], required: Scalar) -> tuple[Bool[Array, "*S"], Float[Array, "*S"]]:
-    """Return where a robot fits, and how tightly: 0 in open space, 1 where it just fits. `room` is
-    the clearance there, and `required` that which the robot needs [m]."""
+    """Return where a robot fits, and how tightly: 0 in open space, 1 where it just fits.
+
+    `room` is the clearance there, and `required` that which the robot needs [m].
+    """
     spare = (room - required) / required
     # The tolerance absorbs rounding: a passage of exactly the required width is open.
     return room >= required - 1e-4, jnp.clip(1.0 - spare / (ROOMY - 1.0), 0.0, 1.0)
@@ -328,8 +344,10 @@ def _find_bottleneck_nodes(
     passable: Bool[Array, "H W"], fits: Bool[Array, "h w"], stride: int
 ) -> Bool[Array, "H W"]:
     """Return the passable nodes with a bottleneck to a passable node above, below or beside them.
+
     Each of the two has a cell in which the robot fits (`fits`), but between these cells it does
-    not. `stride` is the number of cells on a side of a block; static."""
+    not. `stride` is the number of cells on a side of a block; static.
+    """
     found = jnp.zeros_like(passable)
     if stride == 1:
         return found

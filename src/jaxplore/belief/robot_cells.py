@@ -14,8 +14,10 @@ def free_below(
     grid: OccupancyGrid, pose: Pose, required: Scalar, sensor_model: InverseSensorModel
 ) -> OccupancyGrid:
     """Return a map with the cells under a robot free, at the least probability of the sensor model.
+
     The robot stands on free ground, whatever the prior map says: otherwise no path starts there.
-    `required` is the clearance that the robot needs [m]."""
+    `required` is the clearance that the robot needs [m].
+    """
     distance = grid.frame.distances(pose[:2], grid.shape)
     # Clearance is measured from a cell's centre and less half a cell. The additional 1.5 cells
     # give the cell of the robot the clearance that it requires.
@@ -32,9 +34,11 @@ def free_below(
 def free_around(
     grid: VoxelGrid, position: Float[Array, "3"], required: Scalar, sensor_model: InverseSensorModel
 ) -> VoxelGrid:
-    """Return a map with the unknown voxels of the ball that a robot needs free. No sensor sees
-    where the robot itself is. The voxels get the log-odds of a free voxel of the sensor model.
-    `required` is the clearance that the robot needs [m]."""
+    """Return a map with the unknown voxels of the ball that a robot needs free.
+
+    No sensor sees where the robot itself is. The voxels get the log-odds of a free voxel of the
+    sensor model. `required` is the clearance that the robot needs [m].
+    """
     side = grid.resolution
     depth, height, width = grid.shape
     z, y, x = jnp.meshgrid(

@@ -58,9 +58,12 @@ class RollingMap(eqx.Module):
         block: int,
         model: InverseSensorModel,
     ) -> tuple["RollingMap", VoxelGrid]:
-        """Return a map with its window around a position, and the grid of the window. `grid` is
-        that of the whole volume. `shape` is one of `window_shape`, and `block` the number of voxels
-        on a side of a block; both static. The bounds of `model` are those of the log-odds."""
+        """Return a map with its window around a position, and the grid of the window.
+
+        `grid` is that of the whole volume. `shape` is one of `window_shape`, and `block` the
+        number of voxels on a side of a block; both static. The bounds of `model` are those of the
+        log-odds.
+        """
         unit = jnp.maximum(jnp.abs(model.minimum), jnp.abs(model.maximum)) / LEVELS
         offset = centre_window(grid.to_grid(position), shape, grid.shape, block)
         blocks = [-(-size // block) for size in grid.shape]
@@ -96,9 +99,11 @@ class RollingMap(eqx.Module):
     def next_offset(
         self, grid: VoxelGrid, position: Float[Array, "3"], keep: float, block: int
     ) -> tuple[Flag, Int[Array, "3"]]:
-        """Return whether the window must move, and where it begins then. It must if the robot is
-        less than `keep` [m] from an inner face. `grid` is that of the window, and `block` the
-        number of voxels on a side of a block; static."""
+        """Return whether the window must move, and where it begins then.
+
+        It must if the robot is less than `keep` [m] from an inner face. `grid` is that of the
+        window, and `block` the number of voxels on a side of a block; static.
+        """
         here = grid.to_grid(position)
         ends = np.asarray(grid.shape, np.float32)
         gap = jnp.stack([here, ends - here], axis=1) * grid.resolution
@@ -162,9 +167,11 @@ class RollingMap(eqx.Module):
         min_information: Scalar,
         kept: float,
     ) -> Float[Array, "d h w"]:
-        """Return the cost of the nodes at the inner faces of the window as ends of a path [m]. It
-        is that of `toward_the_rest`, with the same arguments, and infinite at all other nodes.
-        `kept` is the distance that the robot keeps from what is beyond the window [m]; static."""
+        """Return the cost of the nodes at the inner faces of the window as ends of a path [m].
+
+        It is that of `toward_the_rest`, with the same arguments, and infinite at all other nodes.
+        `kept` is the distance that the robot keeps from what is beyond the window [m]; static.
+        """
         rest = self.toward_the_rest(grid, block, decay_length, min_information)
         shape = roads.slowness.shape
         width = 1 + math.ceil(kept / roads.spacing)
@@ -194,9 +201,12 @@ def check_extents(
 def window_shape(
     whole: tuple[int, int, int], extents: Sequence[float], side: float, block: int
 ) -> tuple[int, int, int]:
-    """Return the numbers of voxels of a window along z, y and x. `whole` are those of the volume.
-    `extents` (x, y, z) and the side of a voxel are in metres. At the far end of the volume, too,
-    the window begins with a whole block of `block` voxels on a side."""
+    """Return the numbers of voxels of a window along z, y and x.
+
+    `whole` are those of the volume. `extents` (x, y, z) and the side of a voxel are in metres. At
+    the far end of the volume, too, the window begins with a whole block of `block` voxels on a
+    side.
+    """
     sizes = []
     for most, extent in zip(whole, reversed(extents), strict=True):
         size = math.ceil(extent / side - 1e-4)
@@ -208,9 +218,11 @@ def window_shape(
 def centre_window(
     here: Float[Array, "3"], shape: tuple[int, int, int], whole: tuple[int, ...], block: int
 ) -> Int[Array, "3"]:
-    """Return the first voxel of the window whose middle is nearest to a place. The place is in grid
-    coordinates (z, y, x) of the volume [voxels]. `shape` is that of the window, `whole` that of the
-    volume, and `block` the voxels on a side of a block; all static."""
+    """Return the first voxel of the window whose middle is nearest to a place.
+
+    The place is in grid coordinates (z, y, x) of the volume [voxels]. `shape` is that of the
+    window, `whole` that of the volume, and `block` the voxels on a side of a block; all static.
+    """
     finite = jnp.where(jnp.isfinite(here), here, 0.0)
     middle = 0.5 * np.asarray(shape, np.float32)
     first = jnp.round((finite - middle) / block).astype(jnp.int32) * block
@@ -219,7 +231,9 @@ def centre_window(
 
 def shift_array(values: Array, shift: Int[Array, "3"]) -> Array:
     """Return an array (..., D, H, W) moved by places along its last axes; 0 where nothing was.
-    `shift` is the place (k, j, i) that becomes the first one."""
+
+    `shift` is the place (k, j, i) that becomes the first one.
+    """
     moved, first = values, values.ndim - 3
     for axis in range(3):
         size = values.shape[first + axis]

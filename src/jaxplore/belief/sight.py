@@ -17,9 +17,11 @@ def is_in_sight(
     place: Position,
     apart: float,
 ) -> Bool[Array, "rows columns"]:
-    """Return whether the straight line from each node to a place is known to be free. `SAMPLES`
-    points of the line are tested. The last `apart` metres are not: cells at the place itself may be
-    solid on the robot's map."""
+    """Return whether the straight line from each node to a place is known to be free.
+
+    `SAMPLES` points of the line are tested. The last `apart` metres are not: cells at the place
+    itself may be solid on the robot's map.
+    """
     offset = place - nodes
     distance = jnp.linalg.norm(offset, axis=-1)
     share = jnp.maximum(1.0 - apart / jnp.maximum(distance, 1e-3), 0.0)

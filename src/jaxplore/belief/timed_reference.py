@@ -27,8 +27,10 @@ class TimedReference(eqx.Module):
     """Number of components of the reference that count: a reference in the plane has no height."""
 
     def reference_at(self, t: Scalar) -> Float[Array, "3"]:
-        """Interpolate the reference position `t` seconds from now [m]. Linear between rows; before
-        the first and after the last row, that row."""
+        """Interpolate the reference position `t` seconds from now [m].
+
+        Linear between rows; before the first and after the last row, that row.
+        """
         # Row 0 is due one period after the reference was made, not when it was made.
         last = self.reference.shape[0] - 1
         row = jnp.clip((t + self.reference_age) / self.reference_period - 1.0, 0.0, last)

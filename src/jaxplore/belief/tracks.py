@@ -493,8 +493,11 @@ def is_unexplained(
     tracks: Tracks, clearance: ScalarField, points: Float[Array, "P 2"]
 ) -> Bool[Array, " P"]:
     """Check which points [m] the map does not explain: those in space that it knows to be free, or
-    knew to be free a little while ago. `clearance` is the distance to the nearest cell that is not
-    known to be free [m]. `tracks` have the former maps."""
+    knew to be free a little while ago.
+
+    `clearance` is the distance to the nearest cell that is not known to be free [m]. `tracks` have
+    the former maps.
+    """
     room = jax.vmap(clearance)(points)
     for values in () if tracks.former is None else tracks.former:
         # The newer map tells of who was first seen in unknown space, and has come nearer since.

@@ -80,8 +80,10 @@ def time_near(
     memory: Scalar,
 ) -> Float[Array, "A D H W"]:
     """Return the time near each node with each sector in view [s], with the last one added.
+
     `in_view` is the share of each sector in view at each heading, and `memory` the time constant
-    with which the time is forgotten [s]."""
+    with which the time is forgotten [s].
+    """
     near = jnp.clip(2.0 - distance / NEAR, 0.0, 1.0)
     number = len(in_view)
     angle = jnp.where(jnp.isfinite(heading), heading, 0.0)

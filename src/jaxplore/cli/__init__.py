@@ -277,9 +277,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _is_interruption(error: BaseException) -> bool:
-    """Check whether an error stands for Ctrl-C. An interruption that comes up while a compiled
-    library calls Python becomes an error of that library, with the interruption as its cause or in
-    its text."""
+    """Check whether an error stands for Ctrl-C.
+
+    An interruption that comes up while a compiled library calls Python becomes an error of that
+    library, with the interruption as its cause or in its text.
+    """
     each: BaseException | None = error
     while each is not None:
         if isinstance(each, KeyboardInterrupt) or KeyboardInterrupt.__name__ in str(each):

@@ -30,8 +30,10 @@ def cache_option(command: Any) -> Any:
 
 
 def _open_cache() -> None:
-    """Enable the cache, unless it is turned off or JAX's own cache is configured. It raises a
-    `ValueError` if a folder that the user has chosen cannot be used."""
+    """Enable the cache, unless it is turned off or JAX's own cache is configured.
+
+    It raises a `ValueError` if a folder that the user has chosen cannot be used.
+    """
     given = os.environ.get(VARIABLE, "")
     if given.lower() == "off":
         return

@@ -145,8 +145,10 @@ def _in_one_place(
 
 
 def _shared_settings(entries: dict[str, Any], runs: Iterable[RunSettings]) -> dict[str, Any]:
-    """Return what the runs read of the entries that they share, with defaults. Defaults depend on
-    the architecture: where two runs have others, those of the first are kept."""
+    """Return what the runs read of the entries that they share, with defaults.
+
+    Defaults depend on the architecture: where two runs have others, those of the first are kept.
+    """
     kind = find_kind(entries)
     found: dict[str, Any] = {}
     for run in runs:
@@ -231,8 +233,10 @@ def _on_maps(
 
 
 def _default_folder(maps: str) -> Path:
-    """Return the default folder for the results of a folder of maps, or of several places. If only
-    one with the default name of former versions exists, it raises a `ValueError`."""
+    """Return the default folder for the results of a folder of maps, or of several places.
+
+    If only one with the default name of former versions exists, it raises a `ValueError`.
+    """
     parts = [maps] if "," not in maps or os.path.lexists(maps) else maps.split(",")
     stems = [Path(os.path.realpath(part.strip())) for part in parts]
     name = "-".join(stem.name if stem.is_dir() else stem.stem for stem in stems)[:LONGEST_NAME]

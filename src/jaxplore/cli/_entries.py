@@ -22,8 +22,10 @@ def option_entries(
     options: Mapping[str, Any], place: Mapping[str, Any] | None = None, word: str | None = None
 ) -> dict[str, Any]:
     """Convert values of the options of `with_options` and `path_options` to settings entries.
+
     `place` are the entries of one of several maps, where the options name none, and `word` the word
-    that was given beside them."""
+    that was given beside them.
+    """
     given = dict(options)
     settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
     trust = given.pop("trust", False)
@@ -57,9 +59,11 @@ def with_samples(
     assignments: Sequence[str],
     variants: Iterable[Mapping[str, Any]] = ({},),
 ) -> dict[str, Any]:
-    """Return entries with a number of rollouts, for the controllers of all variants. The option
-    stands for the setting of whichever section a variant reads, unless the assignments of `--set`
-    give it."""
+    """Return entries with a number of rollouts, for the controllers of all variants.
+
+    The option stands for the setting of whichever section a variant reads, unless the assignments
+    of `--set` give it.
+    """
     if samples is None:
         return entries
     sections = set[str]()

@@ -13,9 +13,11 @@ from jaxplore.ros.nav2 import Nav2Settings, read_nav2
 def import_nav2(
     file: Path, out: Path | None, task: str, controller: str | None, *, overwrite: bool
 ) -> None:
-    """Write settings, and name the parameters without a counterpart. Without `out` the settings go
-    to standard output. `controller` is the name of the controller in the file, if there are
-    several."""
+    """Write settings, and name the parameters without a counterpart.
+
+    Without `out` the settings go to standard output. `controller` is the name of the controller in
+    the file, if there are several.
+    """
     found = read_nav2(file, task, controller)
     text = _as_yaml(found, file)
     if out is None:

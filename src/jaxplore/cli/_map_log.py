@@ -30,10 +30,13 @@ MOST_SEED = 2**32 - 1
 
 
 class MapLogOptions(NamedTuple):
-    """Options of the command. When absent, `resolution` [m] follows from the scans, and
-    `field_of_view`, the angle between the outermost beams [rad], from their number. Readings beyond
-    `max_range` [m] are not used. `drift_seed` is that of made-up drift, which replaces the odometry
-    of the log; None for that odometry. `assignments` are NAME=VALUE of errors of the odometry."""
+    """Options of the command.
+
+    When absent, `resolution` [m] follows from the scans, and `field_of_view`, the angle between the
+    outermost beams [rad], from their number. Readings beyond `max_range` [m] are not used.
+    `drift_seed` is that of made-up drift, which replaces the odometry of the log; None for that
+    odometry. `assignments` are NAME=VALUE of errors of the odometry.
+    """
 
     resolution: float | None
     max_range: float

@@ -44,9 +44,11 @@ def check_memory(
     batch: int = 1,
     must_be_readable: bool = True,
 ) -> None:
-    """Check that each of several runs fits into a memory of `limit` [bytes]. Without `node` they
-    are simulations. Each of `num_runs` processes has `batch` runs in one program. Unless
-    `must_be_readable`, a run whose map cannot be read is not checked."""
+    """Check that each of several runs fits into a memory of `limit` [bytes].
+
+    Without `node` they are simulations. Each of `num_runs` processes has `batch` runs in one
+    program. Unless `must_be_readable`, a run whose map cannot be read is not checked.
+    """
     from jaxplore.tasks.exploration.memory import estimate_exploration
     from jaxplore.tasks.memory import check_needs
     from jaxplore.tasks.registry import kind_of

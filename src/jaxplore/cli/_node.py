@@ -53,8 +53,10 @@ COMMANDS = "commands.csv"
 
 
 def drive(options: dict[str, Any]) -> None:
-    """Drive a robot until it is done or the user stops it, and write a run folder. The exit code is
-    130 if the user stopped it, and 1 if the robot was gone for too long."""
+    """Drive a robot until it is done or the user stops it, and write a run folder.
+
+    The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
+    """
     settings, node, folder = _drive_settings(options)
     if node.mode == "goal":
         choose_goals(settings, node)
@@ -189,8 +191,10 @@ def _monitors(options: dict[str, Any], folder: Path, stack: ExitStack) -> list[M
 
 
 def choose_goals(settings: Settings, node: NodeSettings) -> None:
-    """Publish goals until no place is worth a visit, or the user stops it. The exit code is 130 if
-    the user stopped it, and 1 if the robot was gone for too long."""
+    """Publish goals until no place is worth a visit, or the user stops it.
+
+    The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
+    """
     chooser = build_goal_chooser(settings)
     with connect(control.NODE, node.namespace) as link, stop_requests() as is_stopped:
         chosen = goal.GoalNode(link, chooser, node, settings.resolution)
@@ -208,8 +212,10 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
 
 
 def simulate_robot(options: dict[str, Any]) -> None:
-    """Simulate a robot at wall-clock time, and write a run folder that judges it. The exit code is
-    130 if the user stopped it."""
+    """Simulate a robot at wall-clock time, and write a run folder that judges it.
+
+    The exit code is 130 if the user stopped it.
+    """
     out, overwrite, animation = (options.pop(name) for name in ("out", "overwrite", "animation"))
     names = ("delay", "drift", "mount", "turning", "command_type", "has_map", "motors")
     own = {name: options.pop(name) for name in names}

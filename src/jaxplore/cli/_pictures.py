@@ -9,7 +9,9 @@ from jaxplore.report.drawing.film import FPS, SCALE, FilmOptions, check_film
 
 class Pictures(NamedTuple):
     """What a command draws: animations, figures of some formats, and a further film, `video`.
-    `film` says how films are played, and their size. `video` is None without that film."""
+
+    `film` says how films are played, and their size. `video` is None without that film.
+    """
 
     animation: bool
     film: FilmOptions
@@ -18,8 +20,10 @@ class Pictures(NamedTuple):
 
 
 def take_pictures(options: dict[str, Any], *, overwrite: bool = False) -> Pictures:
-    """Remove the options of figures and films from all options, and check them. A video that exists
-    is refused unless `overwrite`."""
+    """Remove the options of figures and films from all options, and check them.
+
+    A video that exists is refused unless `overwrite`.
+    """
     animation, video = options.pop("animation"), options.pop("video", None)
     fps, scale = options.pop("fps"), options.pop("film_scale")
     for name, value in (("--fps", fps), ("--film-scale", scale)):

@@ -104,8 +104,10 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
 
 def _workers(settings: Any, beside: Mapping[str, Path | bool | None]) -> int:
     """Return the number of workers among which the robots of a fleet are divided; 1 for none.
+
     `beside` has options that need the robots in one process, with None for what is not given. One
-    of them beside several workers, and more workers than robots, raise a `ValueError`."""
+    of them beside several workers, and more workers than robots, raise a `ValueError`.
+    """
     fleet = getattr(settings, "fleet", None)
     if fleet is None or fleet.workers == 1:
         return 1
@@ -124,8 +126,10 @@ def _workers(settings: Any, beside: Mapping[str, Path | bool | None]) -> int:
 
 
 def _in_parts(experiment: Experiment, workers: int, num_trajectories: int) -> Run:
-    """Simulate a fleet in the workers of a local Ray cluster. It raises a `ValueError` if Ray is
-    not installed, or if a worker failed or died."""
+    """Simulate a fleet in the workers of a local Ray cluster.
+
+    It raises a `ValueError` if Ray is not installed, or if a worker failed or died.
+    """
     from jaxplore.study.fleet_parts import simulate_in_parts
 
     controller, scenario, num_steps, key = experiment

@@ -8,9 +8,12 @@ from typing import TextIO
 
 
 class _Output(io.FileIO):
-    """A stream that is written no further once it has failed. Its reader may have left, as that of
-    `| head` does. What it has read is all that it wanted, so this is no error. Another failure is
-    one if the stream is required, and only once: Python would write again when it shuts down."""
+    """A stream that is written no further once it has failed.
+
+    Its reader may have left, as that of `| head` does. What it has read is all that it wanted, so
+    this is no error. Another failure is one if the stream is required, and only once: Python would
+    write again when it shuts down.
+    """
 
     def __init__(self, number: int, *, is_required: bool) -> None:
         super().__init__(number, "w", closefd=False)

@@ -35,9 +35,11 @@ _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 def scenario_entries(
     options: dict[str, Any], also: Sequence[str]
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
-    """Return the settings entries of each scenario by name, and the common entries. `also` has
-    further maps, paths or scenarios, or settings files with differences from the first. A scenario
-    that is unknown or repeated raises a `ValueError`."""
+    """Return the settings entries of each scenario by name, and the common entries.
+
+    `also` has further maps, paths or scenarios, or settings files with differences from the first.
+    A scenario that is unknown or repeated raises a `ValueError`.
+    """
     first = option_entries(options)
     trust = options.get("trust", False)
     kind = find_kind(first)

@@ -72,9 +72,12 @@ def run_viewed(
     *,
     overwrite: bool,
 ) -> None:
-    """Simulate runs until the page of a view asks for no further one. A run that ends or is stopped
-    is saved in a folder of its own, one that is started again is not. The first one is recorded, if
-    there is a recorder; a recording that failed raises a `ValueError` when the run is saved."""
+    """Simulate runs until the page of a view asks for no further one.
+
+    A run that ends or is stopped is saved in a folder of its own, one that is started again is not.
+    The first one is recorded, if there is a recorder; a recording that failed raises a `ValueError`
+    when the run is saved.
+    """
     changed: dict[str, float | list[float]] = {}
     shown: list[Monitor] = monitors_of(view)
     monitors = shown if recorder is None else [*shown, recorder]

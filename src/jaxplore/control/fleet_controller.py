@@ -35,9 +35,11 @@ class FleetBelief(NamedTuple):
 
 
 def robot_keys(key: Key, identity: Int[Array, " N"]) -> tuple[Key, ...]:
-    """Derive a random key for each robot of a fleet; that of a robot alone is the key itself. A key
-    depends on the identity of the robot and not on its place in the fleet, so that the order of the
-    robots does not matter. The identities (N,) are all different."""
+    """Derive a random key for each robot of a fleet; that of a robot alone is the key itself.
+
+    A key depends on the identity of the robot and not on its place in the fleet, so that the order
+    of the robots does not matter. The identities (N,) are all different.
+    """
     if identity.shape[0] == 1:
         return (key,)
     return tuple(jax.random.fold_in(key, OF_ROBOTS + number) for number in identity)

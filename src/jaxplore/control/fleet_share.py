@@ -44,8 +44,10 @@ class Share(eqx.Module):
         return tuple(things[i] for i in self.mine)
 
     def gather(self, rows: Sequence[Any]) -> list[Any]:
-        """Return one pytree of each robot, from those of the own robots; traced. All have the same
-        structure and shapes."""
+        """Return one pytree of each robot, from those of the own robots; traced.
+
+        All have the same structure and shapes.
+        """
         if self.meet is None:
             return list(rows)
         leaves, structure = jax.tree.flatten(jax.tree.map(lambda *own: jnp.stack(own), *rows))
@@ -72,8 +74,10 @@ class Share(eqx.Module):
 
 
 def check_share(share: Share, kinds: Sequence[Any], name: str) -> None:
-    """Check that several processes can compute the robots: two or more, and all equal. `kinds` are
-    the distinct things of the robots; the message calls them `name`."""
+    """Check that several processes can compute the robots: two or more, and all equal.
+
+    `kinds` are the distinct things of the robots; the message calls them `name`.
+    """
     if share.number < 2 or len(kinds) > 1:
         raise ValueError(
             f"{name} are {share.number} of {len(kinds)} kinds; accepted in several processes: two "

@@ -88,8 +88,10 @@ def check_call(
     dynamics: Dynamics, state: Any, kind: type, observation: Any, key: Any
 ) -> StateVector:
     """Check the arguments of a controller's `step`, and return the observed state as an array.
+
     `kind` is the class of the controller's state. The observation is an array or a list of the size
-    of the state. Its numbers are not checked, nor anything of one that is traced."""
+    of the state. Its numbers are not checked, nor anything of one that is traced.
+    """
     _kinds.instance("state", state, kind, hint="from init() or the last step")
     _kinds.key("key", key)
     if _kinds.is_traced(observation):
@@ -119,7 +121,9 @@ def check_state(dynamics: Dynamics, shape: tuple[int, ...]) -> None:
 
 def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> None:
     """Raise a `ValueError` that names the first term of a cost which does not return one number.
-    Only shapes are evaluated."""
+
+    Only shapes are evaluated.
+    """
     size = dynamics.control_size
     number, control, controls = _floats(), _floats(size), _floats(horizon, size)
     values = _floats(dynamics.state_size)

@@ -145,9 +145,11 @@ def shift_state(
     *,
     is_interpolated: bool,
 ) -> MPPIState:
-    """Move the nominal and the memories on by a number of model steps, not necessarily whole. With
-    `is_interpolated` a part of a model step interpolates the nominal. Without it, the nominal is
-    shifted by whole model steps when they are due."""
+    """Move the nominal and the memories on by a number of model steps, not necessarily whole.
+
+    With `is_interpolated` a part of a model step interpolates the nominal. Without it, the nominal
+    is shifted by whole model steps when they are due.
+    """
     phase = state.phase
     if not is_interpolated:
         # In float32, 20 periods of 0.05 s add up to slightly less than a step of 1 s.
@@ -170,8 +172,10 @@ def shift_state(
 
 
 def auto_mesh(mesh: Mesh) -> Mesh:
-    """Return a mesh of the same devices whose axes the compiler may shard automatically. The axes
-    of a user's mesh may be of the explicit kind."""
+    """Return a mesh of the same devices whose axes the compiler may shard automatically.
+
+    The axes of a user's mesh may be of the explicit kind.
+    """
     return Mesh(mesh.devices, mesh.axis_names)
 
 
@@ -191,9 +195,12 @@ def map_over_devices(
     controls: Float[Array, "T nu K"],
     arrays: Any,
 ) -> Float[Array, " K"]:
-    """Evaluate the costs of samples, each on the device that holds it. The devices exchange nothing
-    until the weights are computed. The initial state is (nx,) of all samples, or (nx, K) of each.
-    The pytree `arrays`, the third argument of `costs`, is replicated on all devices."""
+    """Evaluate the costs of samples, each on the device that holds it.
+
+    The devices exchange nothing until the weights are computed. The initial state is (nx,) of all
+    samples, or (nx, K) of each. The pytree `arrays`, the third argument of `costs`, is replicated
+    on all devices.
+    """
     samples = mesh.axis_names
     over_devices = jax.shard_map(
         costs,
@@ -281,9 +288,11 @@ def roll_out_plan(
     belief: Any,
     num_trajectories: int,
 ) -> SampledPlan:
-    """Roll out the plan of a step, its best sample and some of the others, undisturbed. All start
-    at `observation` (nx,), with the model step `dt` [s]. The others are at most `num_trajectories`
-    samples."""
+    """Roll out the plan of a step, its best sample and some of the others, undisturbed.
+
+    All start at `observation` (nx,), with the model step `dt` [s]. The others are at most
+    `num_trajectories` samples.
+    """
     chosen = choose_samples(sampled.controls.shape[-1], num_trajectories)
 
     def simulate(controls: Array) -> Trajectory:
@@ -298,8 +307,10 @@ def roll_out_plan(
 
 
 def choose_samples(num_samples: int, most: int) -> np.ndarray:
-    """Return the numbers of the samples that are shown, at most `most`, at even distances. A
-    mixture orders its samples by component, so the first few would show one component only."""
+    """Return the numbers of the samples that are shown, at most `most`, at even distances.
+
+    A mixture orders its samples by component, so the first few would show one component only.
+    """
     return np.linspace(0, num_samples - 1, min(most, num_samples)).round().astype(int)
 
 

@@ -354,9 +354,11 @@ def _check_dimensions(shape: Shape, limit: int) -> None:
 
 @functools.lru_cache(maxsize=8)
 def _sobol_directions(dimensions: int, digits: int) -> np.ndarray:
-    """Return the direction numbers (dimensions, digits) as uint32 of BITS bits. Point i of the
-    sequence is the XOR of the directions of the bits set in i's Gray code. So point 2^d and point
-    2^d - 1 differ by direction d alone, from which it is read."""
+    """Return the direction numbers (dimensions, digits) as uint32 of BITS bits.
+
+    Point i of the sequence is the XOR of the directions of the bits set in i's Gray code. So point
+    2^d and point 2^d - 1 differ by direction d alone, from which it is read.
+    """
     import scipy.stats  # slow to import, and few need it
 
     found = []

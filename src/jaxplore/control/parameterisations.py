@@ -141,8 +141,10 @@ class Direct(Parameterisation):
 
 
 def shift_sequence(sequence: Sequence, steps: Scalar, after: ControlVector) -> Sequence:
-    """Return a sequence (T, nu) shifted by a number of steps, interpolated linearly. The number may
-    be a fraction. The row `after` (nu,) extends the sequence."""
+    """Return a sequence (T, nu) shifted by a number of steps, interpolated linearly.
+
+    The number may be a fraction. The row `after` (nu,) extends the sequence.
+    """
     # Rows beyond the end read the extension, which is appended as one more row.
     length = sequence.shape[0]
     position = jnp.arange(length, dtype=steps.dtype) + steps

@@ -42,8 +42,10 @@ type Triple = Float[jax.Array, "3"] | Float[np.ndarray, "3"]
 
 
 def is_moving(twist: Triple, share: float = 1.0) -> Any:
-    """Check whether a velocity (vx, vy, omega) must change the pose [m/s, m/s, rad/s]. It must if
-    it exceeds `share` times `MIN_SPEED`, or its turn rate `share` times `MIN_TURN_RATE`."""
+    """Check whether a velocity (vx, vy, omega) must change the pose [m/s, m/s, rad/s].
+
+    It must if it exceeds `share` times `MIN_SPEED`, or its turn rate `share` times `MIN_TURN_RATE`.
+    """
     xp = _module(twist)
     is_fast = xp.hypot(twist[0], twist[1]) > share * MIN_SPEED
     return is_fast | (xp.abs(twist[2]) > share * MIN_TURN_RATE)
@@ -86,8 +88,11 @@ def share_of_misfits(
     ends: Float[Array, "P D"],
     is_return: Bool[Array, " P"],
 ) -> Scalar:
-    """Return the share of returns (P,) whose ends contradict a map, see `scan_misfit`. `clearance`
-    is the distance to what the map does not know to be free, in the plane or in a volume [m]."""
+    """Return the share of returns (P,) whose ends contradict a map, see `scan_misfit`.
+
+    `clearance` is the distance to what the map does not know to be free, in the plane or in a
+    volume [m].
+    """
     # At a pose that is not finite, the ends are off the map, where the clearance is 0.
     is_contrary = is_return & (jax.vmap(clearance)(ends) > MISFIT_DISTANCE)
     number = jnp.sum(is_return, dtype=jnp.float32)

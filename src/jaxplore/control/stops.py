@@ -82,9 +82,11 @@ def is_scan_placed(stop: Count) -> Flag:
 
 
 def next_stop(state: StopState, found: Evidence, max_frozen: Scalar) -> StopState:
-    """Return whether a robot is stopped in a period. `state` is that of the period before.
-    `max_frozen` is the time for which a pose or a scan may be the same while the robot should move
-    [s]. See `MotionGuard` for the rule."""
+    """Return whether a robot is stopped in a period.
+
+    `state` is that of the period before. `max_frozen` is the time for which a pose or a scan may be
+    the same while the robot should move [s]. See `MotionGuard` for the rule.
+    """
     since = state.since + found.elapsed
     still = jnp.where(found.is_same & found.is_driven, state.still + found.elapsed, 0.0)
     is_same = found.is_scan_same & found.is_driven

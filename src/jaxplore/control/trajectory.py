@@ -81,9 +81,11 @@ def step_costs(
     *,
     applied: ControlVector,
 ) -> Float[Array, " T"]:
-    """Return the cost of each step of a rollout. The last one includes the terminal cost and that
-    of the sequence. `states` are those that the controls lead to, and `applied` is the control
-    before."""
+    """Return the cost of each step of a rollout.
+
+    The last one includes the terminal cost and that of the sequence. `states` are those that the
+    controls lead to, and `applied` is the control before.
+    """
     times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=dt.dtype)
 
     def evaluate(state: Array, control: Array, t: Array) -> Array:

@@ -255,8 +255,10 @@ class StopCheck(eqx.Module):
 
 class _Surroundings(NamedTuple):
     """What a scan has met: points, the speeds with which they may move, and walls among them.
+
     Points that do not count are far away, because shapes are static. `age` is the time since their
-    measurement [s]. `room` is the distance to what is not known to be free, in a volume [m]."""
+    measurement [s]. `room` is the distance to what is not known to be free, in a volume [m].
+    """
 
     points: Float[Array, "P D"]
     speeds: Float[Array, " P"]

@@ -85,10 +85,12 @@ def manoeuvre_table(radius: float) -> np.ndarray:
 
 
 def manoeuvre(radius: float, x: Scalar, y: Scalar, turn: Scalar, speed: Scalar) -> Scalar:
-    """Return the cost of the last manoeuvre of a car [m]; see `manoeuvre_table`. Beyond the table
-    it is that at its edge. `radius` is the turning radius [m]; static. The car is `x` ahead of the
-    goal and `y` on its left [m], and its heading is `turn` from that at the goal [rad]. Its forward
-    speed [m/s] tells the direction of travel."""
+    """Return the cost of the last manoeuvre of a car [m]; see `manoeuvre_table`.
+
+    Beyond the table it is that at its edge. `radius` is the turning radius [m]; static. The car is
+    `x` ahead of the goal and `y` on its left [m], and its heading is `turn` from that at the goal
+    [rad]. Its forward speed [m/s] tells the direction of travel.
+    """
     table = jnp.asarray(manoeuvre_table(radius).ravel())
     # A pose that is not finite has no index.
     x, y, turn = (jnp.where(jnp.isfinite(each), each, 0.0) for each in (x, y, turn))

@@ -34,7 +34,9 @@ def add_up(value: Callable[[Any], Scalar], items: Any) -> Scalar:
 
 def least(value: Callable[[Any], Scalar], items: Any) -> tuple[Scalar, Count]:
     """Find the least `value(item)`, NaN if one is NaN, and the index of the first item that has it.
-    `items` is a pytree of arrays whose first axis counts them."""
+
+    `items` is a pytree of arrays whose first axis counts them.
+    """
     count = jax.tree.leaves(items)[0].shape[0]
 
     def take(best: tuple[Scalar, Count], item: tuple[Any, Count]) -> tuple[Any, None]:
@@ -52,8 +54,10 @@ def least(value: Callable[[Any], Scalar], items: Any) -> tuple[Scalar, Count]:
 
 
 def offset(state: State, point: Array) -> tuple[Scalar, ...]:
-    """Compute position minus point, component by component [m]. The third component of a point in
-    space is compared with `state["z"]`."""
+    """Compute position minus point, component by component [m].
+
+    The third component of a point in space is compared with `state["z"]`.
+    """
     # Mapped over K samples, each component is one vector of K, which XLA turns into fast loops.
     here = [*state.position]
     if point.shape[0] == 3:
@@ -62,8 +66,10 @@ def offset(state: State, point: Array) -> tuple[Scalar, ...]:
 
 
 def levers(state: State) -> tuple[Lever, ...]:
-    """Compute the offset of each disc that covers the robot. For a robot that is one disc the
-    offset is empty, so that its heading is not computed."""
+    """Compute the offset of each disc that covers the robot.
+
+    For a robot that is one disc the offset is empty, so that its heading is not computed.
+    """
     footprint = state.dynamics.footprint
     if isinstance(footprint, Disc):
         return ((),)

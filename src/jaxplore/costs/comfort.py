@@ -79,8 +79,10 @@ class ComfortCost(Cost):
 def acceleration(
     state: StateVector, control: ControlVector, dynamics: Dynamics
 ) -> tuple[Scalar, Scalar]:
-    """Compute the acceleration of a robot's position along its heading and to its left [m/s^2]. The
-    control is taken as constant. Of an `Augmented` model the physical part is used."""
+    """Compute the acceleration of a robot's position along its heading and to its left [m/s^2].
+
+    The control is taken as constant. Of an `Augmented` model the physical part is used.
+    """
     if isinstance(dynamics, Augmented):
         state, control = dynamics.split_state(state)[0], dynamics.split_control(control)[0]
         return acceleration(state, control, dynamics.physical)

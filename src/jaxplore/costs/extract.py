@@ -45,8 +45,10 @@ def component(name: str) -> Extractor:
 
 
 def from_physical(extractor: Extractor) -> Extractor:
-    """Apply an extractor to the physical part of an `Augmented` state. For a model without parts it
-    is applied to the whole state."""
+    """Apply an extractor to the physical part of an `Augmented` state.
+
+    For a model without parts it is applied to the whole state.
+    """
     return _Part(extractor, is_physical=True)
 
 

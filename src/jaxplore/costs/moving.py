@@ -23,9 +23,11 @@ SMALLEST = 1e-3
 
 
 class _Obstacle(NamedTuple):
-    """Predicted quantities of one obstacle, or of N on the first axis; unused ones are None. `form`
-    are the coefficients of x^2, x y and y^2 in the exponent of its Gaussian, `variances` those in
-    the variance of its distance."""
+    """Predicted quantities of one obstacle, or of N on the first axis; unused ones are None.
+
+    `form` are the coefficients of x^2, x y and y^2 in the exponent of its Gaussian, `variances`
+    those in the variance of its distance.
+    """
 
     centre: Any
     form: Any
@@ -140,9 +142,11 @@ class MovingObstacleCost(Cost):
         t: Scalar,
         obstacles: Obstacles,
     ) -> Scalar:
-        """Return the cost of a state; obstacles that are not known cost nothing. `radius` and
-        `points` are those of the robot's discs [m]. A centre nearer than `too_close` [m] is too
-        close. `t` is the time from now [s], `obstacles` those at the present time."""
+        """Return the cost of a state; obstacles that are not known cost nothing.
+
+        `radius` and `points` are those of the robot's discs [m]. A centre nearer than `too_close`
+        [m] is too close. `t` is the time from now [s], `obstacles` those at the present time.
+        """
         has_distance = self.clearance is not None or self.collision is not None
         sums_distances = has_distance and not self.nearest_only
         things = self._predict(radius, t, obstacles, has_distance)
@@ -183,8 +187,10 @@ class MovingObstacleCost(Cost):
     def _predict(
         self, radius: Scalar, t: Scalar, obstacles: Obstacles, has_distance: bool
     ) -> _Obstacle:
-        """Predict the quantities of each obstacle that the terms read. They do not depend on the
-        sample, so under `jax.vmap` they are computed once for all."""
+        """Predict the quantities of each obstacle that the terms read.
+
+        They do not depend on the sample, so under `jax.vmap` they are computed once for all.
+        """
         covariance = obstacles.predict_covariance(t)
         centre = form = corners = radii = variances = None
         if self.nearness is not None:
@@ -221,9 +227,11 @@ def _points(state: State) -> list[tuple[Scalar, ...]]:
 
 
 def _forms(covariance: Float[Array, "N 2 2"], extent: Float[Array, " N"]) -> Float[Array, "N 3"]:
-    """Return the coefficients of x^2, x y and y^2 in -1/2 e^T S^-1 e. S is the covariance of a
-    centre [m^2], plus the square of `extent` on its diagonal: the sum of the robot's and the
-    obstacle's radius [m]."""
+    """Return the coefficients of x^2, x y and y^2 in -1/2 e^T S^-1 e.
+
+    S is the covariance of a centre [m^2], plus the square of `extent` on its diagonal: the sum of
+    the robot's and the obstacle's radius [m].
+    """
     wider = jnp.maximum(extent, SMALLEST) ** 2
     a, b = covariance[:, 0, 0] + wider, covariance[:, 0, 1]
     c = covariance[:, 1, 1] + wider

@@ -47,9 +47,11 @@ class BrakingLimits(eqx.Module):
     braking: Scalar
 
     def clip(self, acceleration: Scalar, speed: Scalar, dt: Scalar) -> Scalar:
-        """Return the acceleration that the bounds admit over a step of `dt` seconds. A robot that
-        brakes to zero within the step spends the rest of it speeding up in the other direction, and
-        the bound is the mean of both over the step."""
+        """Return the acceleration that the bounds admit over a step of `dt` seconds.
+
+        A robot that brakes to zero within the step spends the rest of it speeding up in the other
+        direction, and the bound is the mean of both over the step.
+        """
         sign = jnp.where(speed < 0.0, -1.0, 1.0)
         magnitude = sign * speed
         reverses = magnitude < self.braking * dt
@@ -64,8 +66,10 @@ def acceleration_range(
     max_acceleration: ArrayLike, max_deceleration: ArrayLike | None, min_speed: Scalar
 ) -> tuple[Scalar, Scalar, BrakingLimits | None]:
     """Return the bounds of an acceleration, and the limits that depend on the sign of the speed.
+
     Without `max_deceleration` there are no such limits. A robot that drives backwards may brake in
-    both directions, so both bounds are then the larger one."""
+    both directions, so both bounds are then the larger one.
+    """
     speeding = _checks.scalar("max_acceleration", max_acceleration, above=0.0)
     if max_deceleration is None:
         return compute(lambda _, high: -high, speeding), speeding, None
@@ -83,8 +87,10 @@ def acceleration_range(
 def acceleration_to(
     target: ArrayLike, speed: Scalar, drag: Scalar, integrator: Integrator, dt: Scalar
 ) -> Scalar:
-    """Return the acceleration that brings a speed with linear drag to a target in one step. It is
-    exact for the integrator: the speed after a step is linear in the acceleration."""
+    """Return the acceleration that brings a speed with linear drag to a target in one step.
+
+    It is exact for the integrator: the speed after a step is linear in the acceleration.
+    """
     nothing, unit = jnp.zeros((1,), speed.dtype), jnp.ones((1,), speed.dtype)
 
     def rate(state: Array, control: Array) -> Array:
@@ -103,9 +109,11 @@ def shrink(control: ControlVector, bounds: ControlVector) -> ControlVector:
 
 
 def bound_of_speed(robot: Any, *, is_least: bool = False) -> Scalar | None:
-    """Return the greatest speed of a robot, or the least one, negative backwards [m/s]. It is the
-    attribute `max_speed` or `min_speed`, else the bound of the control `v`. None for a model with
-    neither."""
+    """Return the greatest speed of a robot, or the least one, negative backwards [m/s].
+
+    It is the attribute `max_speed` or `min_speed`, else the bound of the control `v`. None for a
+    model with neither.
+    """
     found: Scalar | None = getattr(robot, "min_speed" if is_least else "max_speed", None)
     if found is None and "v" in robot.control_names:
         # The speed is a control, and its bound is that of the control.

@@ -263,9 +263,11 @@ def position_upwards(state: StateVector) -> Float[Array, "3"]:
 
 
 def attitude_upwards(state: StateVector) -> Float[Array, "3 3"]:
-    """Return the rotation from the body, x ahead, y to the left, z up, to that frame. The model is
-    NED and FRD: mirrored in z, both y axes keep their names, and a turn from x towards y remains
-    one."""
+    """Return the rotation from the body, x ahead, y to the left, z up, to that frame.
+
+    The model is NED and FRD: mirrored in z, both y axes keep their names, and a turn from x towards
+    y remains one.
+    """
     w, x, y, z = state[6], state[7], state[8], state[9]
     rotation = jnp.stack(
         [

@@ -224,7 +224,9 @@ def path_through(
 
 def cusps(points: np.ndarray) -> np.ndarray:
     """Return the indices of the points (M, 2) at which a line turns back: by more than 135 degrees.
-    No two points in a row may be equal."""
+
+    No two points in a row may be equal.
+    """
     steps = np.diff(points, axis=0)
     steps = steps / np.hypot(*steps.T)[:, None]
     return np.flatnonzero((steps[1:] * steps[:-1]).sum(axis=1) < -math.sqrt(0.5)) + 1

@@ -21,14 +21,18 @@ def turn(yaw: Scalar) -> Float[Array, "3 3"]:
 
 
 def compose(pose: LevelPose, motion: LevelPose) -> LevelPose:
-    """Return the pose after a motion (dx, dy, dz, dyaw) in the frame of the pose before it. (x, y,
-    z) + R(yaw) (dx, dy, dz), yaw + dyaw"""
+    """Return the pose after a motion (dx, dy, dz, dyaw) in the frame of the pose before it.
+
+    (x, y, z) + R(yaw) (dx, dy, dz),   yaw + dyaw
+    """
     return pose + jnp.append(turn(pose[3]) @ motion[:3], motion[3])
 
 
 def between(pose: LevelPose, other: LevelPose) -> LevelPose:
     """Return the motion (dx, dy, dz, dyaw) from a pose to another one, in the frame of the first.
-    `compose(pose, between(pose, other))` is the other pose; the turn is in [-pi, pi]."""
+
+    `compose(pose, between(pose, other))` is the other pose; the turn is in [-pi, pi].
+    """
     away = other - pose
     return jnp.append(turn(pose[3]).T @ away[:3], wrap_angle(away[3]))
 

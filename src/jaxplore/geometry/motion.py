@@ -19,7 +19,9 @@ def wrap_angle(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
 
 def compose(pose: Pose, increment: Pose) -> Pose:
     """Return the pose (x, y, yaw) after a motion (dx, dy, dyaw) in the frame of the pose before it.
-    (x, y) + R(yaw) (dx, dy), yaw + dyaw"""
+
+    (x, y) + R(yaw) (dx, dy),   yaw + dyaw
+    """
     sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
     dx, dy, turn = jnp.unstack(increment)
     return pose + jnp.stack([cos * dx - sin * dy, sin * dx + cos * dy, turn])
@@ -27,7 +29,9 @@ def compose(pose: Pose, increment: Pose) -> Pose:
 
 def between(pose: Pose, other: Pose) -> Pose:
     """Return the motion (dx, dy, dyaw) from a pose to another one, in the frame of the first.
-    `compose(pose, between(pose, other))` is the other pose; the turn is in [-pi, pi]."""
+
+    `compose(pose, between(pose, other))` is the other pose; the turn is in [-pi, pi].
+    """
     sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
     dx, dy, turn = jnp.unstack(other - pose)
     return jnp.stack([cos * dx + sin * dy, cos * dy - sin * dx, wrap_angle(turn)])
@@ -76,7 +80,9 @@ def transform_points(pose: Pose, points: Points) -> Points:
 
 def motions_between(poses: Rows, others: Rows) -> Rows:
     """Return the motions (N, 3) from poses (x, y, yaw) to others, in the frames of the first ones.
-    The turns are in [-pi, pi]."""
+
+    The turns are in [-pi, pi].
+    """
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     dx, dy, turn = (others - poses).T
     turn = turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
@@ -89,8 +95,10 @@ def steps_along(poses: Rows) -> Rows:
 
 
 def accumulate_motions(first: Rows, motions: Rows) -> Rows:
-    """Return the poses (N, 3) after motions (N, 3), the first of which is not made. The way begins
-    at the pose `first`. Each motion is in the frame of the pose before it."""
+    """Return the poses (N, 3) after motions (N, 3), the first of which is not made.
+
+    The way begins at the pose `first`. Each motion is in the frame of the pose before it.
+    """
     yaw = first[2] + np.concatenate([[0.0], np.cumsum(motions[1:, 2])])
     cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])
     dx, dy = motions[1:, 0], motions[1:, 1]

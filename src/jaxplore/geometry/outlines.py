@@ -117,8 +117,11 @@ class Outlines(eqx.Module):
 
 
 class Nearest(NamedTuple):
-    """Distance and offset from a shape to a point. The distance is negative inside [m]. (x, y) is
-    the vector from the nearest point of the polygon, without its radius, to the point [m]."""
+    """Distance and offset from a shape to a point.
+
+    The distance is negative inside [m]. (x, y) is the vector from the nearest point of the polygon,
+    without its radius, to the point [m].
+    """
 
     distance: Scalar
     x: Scalar
@@ -126,9 +129,11 @@ class Nearest(NamedTuple):
 
 
 def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) -> Nearest:
-    """Return the signed distance and the offset from one shape of `Outlines` to a point. The
-    corners (V, 2) of the polygon are in order; it is grown by the radius [m]. The distance of a NaN
-    point is NaN."""
+    """Return the signed distance and the offset from one shape of `Outlines` to a point.
+
+    The corners (V, 2) of the polygon are in order; it is grown by the radius [m]. The distance of a
+    NaN point is NaN.
+    """
     if corners.shape[0] == 1:
         return _nearest_of_disc(corners[0], radius, x, y)
     # Repeated corners give edges of zero length, and level edges have no slope: both divisions are

@@ -101,8 +101,10 @@ class RayOffsets(NamedTuple):
 
 
 def ray_offsets(angles: np.ndarray, length: float) -> RayOffsets:
-    """Tabulate the cells that rays from a cell's centre leave within a length [cells]. The angles
-    (D,) are from the column axis towards the row axis [rad]."""
+    """Tabulate the cells that rays from a cell's centre leave within a length [cells].
+
+    The angles (D,) are from the column axis towards the row axis [rad].
+    """
     return direction_offsets(np.stack([np.sin(angles), np.cos(angles)]), length)
 
 

@@ -39,9 +39,11 @@ def lengths(x: np.ndarray, y: np.ndarray, turn: np.ndarray, reversal: float) -> 
 
 
 def _words(x: np.ndarray, y: np.ndarray, turn: np.ndarray) -> Iterator[tuple[list[int], Arc]]:
-    """Yield the gears and the pieces of the ways that begin forwards with a left circle. The names
-    are the pieces: l and r are circles, s is straight, and a bar is a change of gear. Equations are
-    those of the paper. Without a solution they are not numbers."""
+    """Yield the gears and the pieces of the ways that begin forwards with a left circle.
+
+    The names are the pieces: l and r are circles, s is straight, and a bar is a change of gear.
+    Equations are those of the paper. Without a solution they are not numbers.
+    """
     quarter = 0.5 * np.pi
     sin, cos = np.sin(turn), np.cos(turn)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -22,8 +22,10 @@ _TIE = 1e-6
 
 
 def heading_vectors() -> tuple[tuple[int, int], ...]:
-    """Return the vectors (x, y) along the headings of the lattice, in whole node spacings. They are
-    not quite even: a car that drives straight on must meet nodes."""
+    """Return the vectors (x, y) along the headings of the lattice, in whole node spacings.
+
+    They are not quite even: a car that drives straight on must meet nodes.
+    """
     vectors = list(_FIRST)
     for _ in range(3):
         vectors += [(-y, x) for x, y in vectors[-len(_FIRST) :]]
@@ -35,8 +37,10 @@ HEADINGS = tuple(math.atan2(y, x) % math.tau for x, y in heading_vectors())
 
 
 class Passed(NamedTuple):
-    """The state of a lattice that is nearest to a point of a motion. `down` and `right` are rows
-    and columns from the start, `heading` is an index."""
+    """The state of a lattice that is nearest to a point of a motion.
+
+    `down` and `right` are rows and columns from the start, `heading` is an index.
+    """
 
     down: int
     right: int

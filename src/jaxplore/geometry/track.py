@@ -77,7 +77,9 @@ def _curvatures(ring: np.ndarray) -> np.ndarray:
 
 def _is_apart(ring: np.ndarray, gap: float, total: float) -> bool:
     """Return whether stretches that are not neighbours along the track are more than `gap` apart.
-    Points nearer than a half circle of the gap's diameter along the track count as neighbours."""
+
+    Points nearer than a half circle of the gap's diameter along the track count as neighbours.
+    """
     from scipy.spatial import KDTree  # slow to import, and few need it
 
     along = np.arange(len(ring)) * (total / len(ring))

@@ -23,8 +23,10 @@ def squared_length(*components: Scalar) -> Scalar:
 
 
 def length(*components: Scalar) -> Scalar:
-    """Return the length of a vector, with gradient 0 where it is zero. The length of a vector with
-    a NaN component is NaN: a diverged rollout is not at its goal."""
+    """Return the length of a vector, with gradient 0 where it is zero.
+
+    The length of a vector with a NaN component is NaN: a diverged rollout is not at its goal.
+    """
     squared = squared_length(*components)
     return _root_unless(squared < TINY, squared)
 

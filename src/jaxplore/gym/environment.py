@@ -94,7 +94,9 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
 
     def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
         """Carry out an action; return the observation, the reward, the two end flags and the info.
-        After the end of an episode the state no longer changes."""
+
+        After the end of an episode the state no longer changes.
+        """
         given = check_action(action, self.action_space.shape or ())
         observation, reward, ends, info = self._advance(
             self.state, given, self.environment.steps_per_action

@@ -70,8 +70,10 @@ def convert_observation(observation: dict[str, Array], space: spaces.Dict) -> Ob
 def draw(
     generator: np.random.Generator, environment: Environment, seed: int | None, choice: Any
 ) -> tuple[Key, Count]:
-    """Draw the key and the scenario of an episode, unless they are given. `seed` is the argument of
-    `jax.random.key`; the run equals that of `simulate` with this key."""
+    """Draw the key and the scenario of an episode, unless they are given.
+
+    `seed` is the argument of `jax.random.key`; the run equals that of `simulate` with this key.
+    """
     # JAX takes seeds of 32 bits, unless 64-bit numbers are turned on.
     number = int(generator.integers(2**32)) if seed is None else seed % 2**32
     if choice is None:

@@ -96,9 +96,12 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observed, dict[str, Any]]:
-        """Begin an episode in each environment; return the observations and the info. The seed is
-        that of the first environment, from which the others count up, or one for each. Of the
-        options "scenario" selects one of several for all, and "reset_mask" (N,) those to reset."""
+        """Begin an episode in each environment; return the observations and the info.
+
+        The seed is that of the first environment, from which the others count up, or one for each.
+        Of the options "scenario" selects one of several for all, and "reset_mask" (N,) those to
+        reset.
+        """
         seeds = self._seeds(seed)
         chosen = options or {}
         mask = np.asarray(chosen.get("reset_mask", np.ones(self.num_envs, bool)))
@@ -116,7 +119,9 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         self, actions: Any
     ) -> tuple[Observed, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Carry out an action (N, A) in each environment; reset those whose episode has ended.
-        Return observations, rewards, terminated and truncated flags (N,), and the info."""
+
+        Return observations, rewards, terminated and truncated flags (N,), and the info.
+        """
         given = check_action(actions, self.action_space.shape or ())
         ended = self._has_ended
         if self._states is not None and ended.any():

@@ -44,9 +44,11 @@ Read = Callable[[int, Sequence[Array]], Array]
 
 
 class CellMaps(eqx.Module):
-    """Channels of a map, each split by `index % stride` into S = stride^2 phases. The split makes
-    every strided read a slice of adjacent values. Cells in the margins absorb beams: off the map
-    nothing passes (a = 0) and nothing is learned."""
+    """Channels of a map, each split by `index % stride` into S = stride^2 phases.
+
+    The split makes every strided read a slice of adjacent values. Cells in the margins absorb
+    beams: off the map nothing passes (a = 0) and nothing is learned.
+    """
 
     channels: tuple[Float[Array, "S h w"], ...]
 
@@ -154,8 +156,9 @@ class BeamTable(eqx.Module):
         self, maps: CellMaps, first: Int[Array, "2"], shape: tuple[int, int]
     ) -> Bool[Array, "rows columns"]:
         """Return the mask of the nodes at which a robot can be: on the map and not occupied.
-        `first` is the cell (row, column) of node (0, 0) in `maps`, and `shape` that of the
-        nodes."""
+
+        `first` is the cell (row, column) of node (0, 0) in `maps`, and `shape` that of the nodes.
+        """
         # Channel 0 is the probability that a beam passes: 1 - p, and 0 off the map.
         passing = self._read(maps, shape)(0, list(self._starts(first, jnp.zeros(2, jnp.int32))))
         return passing >= 1.0 - OCCUPIED_THRESHOLD
@@ -168,17 +171,21 @@ class BeamTable(eqx.Module):
         direction: Int[Array, ""],
     ) -> Float[Array, "rows columns"]:
         """Return the information of the beams in one direction, from every node of a lattice [nat].
+
         `maps` are at least `reach` cells wider than the nodes on every side. `first` is the cell
-        (row, column) of node (0, 0) in them. `direction` is an index."""
+        (row, column) of node (0, 0) in them. `direction` is an index.
+        """
         read, start = self._read(maps, shape), self._starts(first, self.offset[direction])
         if self.is_simple:
             return self._simple(read, start, shape, direction)
         return self._general(read, start, shape, direction)
 
     def _starts(self, first: Array, offset: Array) -> Array:
-        """Return the start indices (..., 3) of the slices at offsets (..., 2) from the nodes. They
-        are computed for a whole ray at once. Computed per slice, each would add a dozen operations
-        to the program."""
+        """Return the start indices (..., 3) of the slices at offsets (..., 2) from the nodes.
+
+        They are computed for a whole ray at once. Computed per slice, each would add a dozen
+        operations to the program.
+        """
         step = self.stride
         cell = first + offset
         phase = cell % step
@@ -266,9 +273,11 @@ def window_maps(
     prior: Scalar | None = None,
 ) -> tuple[CellMaps, Array]:
     """Return the channels around a lattice of nodes, and the position of its first node in them.
+
     `first` is its cell, which may be off the map, and `shape` the rows and columns of nodes;
     static. `prior` is the probability of cells that were never measured; that of the grid when
-    None."""
+    None.
+    """
     reach = table.reach
     rows, columns = (
         first[axis] - reach + jnp.arange((shape[axis] - 1) * table.stride + 2 * reach + 1)
@@ -289,9 +298,11 @@ def window_maps(
 
 
 def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> np.ndarray:
-    """Return the share of each cell that belongs to one beam, `min(1, r dtheta)`. r is the distance
-    to the middle of the beam's section in the cell [cells], and dtheta the angle between beams.
-    Near the sensor several beams cross one cell, and each gets its share."""
+    """Return the share of each cell that belongs to one beam, `min(1, r dtheta)`.
+
+    r is the distance to the middle of the beam's section in the cell [cells], and dtheta the angle
+    between beams. Near the sensor several beams cross one cell, and each gets its share.
+    """
     if spacing is None:
         return np.ones_like(entry)
     share: np.ndarray = np.minimum(1.0, 0.5 * (entry + exit_) * spacing)
@@ -311,9 +322,11 @@ def in_blocks(values: Array) -> Array:
 
 
 def _readings(exit_: np.ndarray, noise: RangeNoise | None, resolution: float) -> np.ndarray:
-    """Tabulate the range noise as a band, (D, N, 2 width + 1). Entry [d, s, i] is the probability G
-    of a reading in cell s - width + i of ray d, given that the first hit is in cell s. The width is
-    the reach of the noise in cells."""
+    """Tabulate the range noise as a band, (D, N, 2 width + 1).
+
+    Entry [d, s, i] is the probability G of a reading in cell s - width + i of ray d, given that the
+    first hit is in cell s. The width is the reach of the noise in cells.
+    """
     is_cell = np.isfinite(exit_)
     directions, size = exit_.shape
     if noise is None:

@@ -138,8 +138,10 @@ class Doubling(eqx.Module):
     def beams(
         self, belief: OccupancyGrid, sensor: CellSensor, interest: GridValues | None = None
     ) -> Float[Array, "D rows columns"]:
-        """Return the information of the beams in each direction, from every node [nat]. `interest`
-        is the additional information of observing each cell that a beam passes [nat]."""
+        """Return the information of the beams in each direction, from every node [nat].
+
+        `interest` is the additional information of observing each cell that a beam passes [nat].
+        """
         probability = settle(belief.probability, sensor)
         gain = expected_gain(probability, sensor)
         if interest is not None:
@@ -169,8 +171,10 @@ class Doubling(eqx.Module):
         return values
 
     def _one(self, passing: Array, gain: Array, direction: Array) -> Array:
-        """Return the information (H, W) of the beams in one direction, from every cell. Longer than
-        60 lines because every helper shares the padded maps of the direction."""
+        """Return the information (H, W) of the beams in one direction, from every cell.
+
+        Longer than 60 lines because every helper shares the padded maps of the direction.
+        """
         height, width = shape = passing.shape
         # Pad with zeros: off the map nothing passes and nothing is learned. Shifts beyond the map
         # are cut to its size, where everything is zero already.

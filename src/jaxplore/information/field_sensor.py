@@ -326,9 +326,11 @@ class FieldSensor(eqx.Module):
         is_stale: Bool[Array, " D"],
         values: Values,
     ) -> Values:
-        """Evaluate the nodes of a tile in the stale directions. A tile that would extend beyond the
-        lattice is moved inwards. Nodes that it then shares with its neighbour are recomputed with
-        the same result."""
+        """Evaluate the nodes of a tile in the stale directions.
+
+        A tile that would extend beyond the lattice is moved inwards. Nodes that it then shares with
+        its neighbour are recomputed with the same result.
+        """
         rows, columns = values.sectors.shape[1:]
         size = min(size[0], rows), min(size[1], columns)
         node = jnp.minimum(node, jnp.asarray([rows - size[0], columns - size[1]]))

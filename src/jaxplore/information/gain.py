@@ -24,8 +24,10 @@ CellSensor = InverseSensorModel | IdealSensor
 
 
 def settle(probability: Float[Array, "*N"], sensor: CellSensor) -> Float[Array, "*N"]:
-    """Return the probabilities with which beams are expected to end in cells. See
-    `InverseSensorModel.settle`; an ideal sensor leaves them unchanged."""
+    """Return the probabilities with which beams are expected to end in cells.
+
+    See `InverseSensorModel.settle`; an ideal sensor leaves them unchanged.
+    """
     return probability if isinstance(sensor, IdealSensor) else sensor.settle(probability)
 
 

@@ -138,8 +138,10 @@ class PoseInformation(eqx.Module):
 
 
 def _only_crossed(cells: RayCells) -> RayCells:
-    """Move cells that the ray only touches to the end, with length zero. `UniformNoise` and
-    `ToeplitzNoise` count cells, and must not count these."""
+    """Move cells that the ray only touches to the end, with length zero.
+
+    `UniformNoise` and `ToeplitzNoise` count cells, and must not count these.
+    """
     # The sort is stable: the cells that count stay in the order of their distance.
     order = jnp.argsort(~cells.is_crossed)
     cell, entry, exit_, is_crossed = (part[order] for part in cells)

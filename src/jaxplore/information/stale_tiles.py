@@ -14,9 +14,11 @@ BLOCKS = 5
 def find_changed_blocks(
     is_changed: Bool[Array, "H W"], tiles: tuple[int, int], stride: int, margin: int
 ) -> Bool[Array, "rows columns"]:
-    """Return the mask of the blocks with a changed cell, with a margin of unchanged blocks. `tiles`
-    are the rows and columns of tiles, `stride` the number of cells between nodes, and `margin` the
-    number of blocks around the map; all static."""
+    """Return the mask of the blocks with a changed cell, with a margin of unchanged blocks.
+
+    `tiles` are the rows and columns of tiles, `stride` the number of cells between nodes, and
+    `margin` the number of blocks around the map; all static.
+    """
     side = TILE * stride // BLOCKS
     padding = [
         (0, count * BLOCKS * side - size)
@@ -31,7 +33,9 @@ def find_touched_tiles(
     changed: Bool[Array, "rows columns"], size: int
 ) -> Bool[Array, "tile_rows tile_columns"]:
     """Return the mask of the tiles that have a changed block within the reach of their beams.
-    `changed` has a margin. What a tile's beams reach has `size` blocks on a side; static."""
+
+    `changed` has a margin. What a tile's beams reach has `size` blocks on a side; static.
+    """
     touched: Array = jax.lax.reduce_window(
         changed, False, jax.lax.bitwise_or, (size, size), (BLOCKS, BLOCKS), "VALID"
     )
@@ -39,10 +43,12 @@ def find_touched_tiles(
 
 
 def group_shape(tiles: tuple[int, int], reach: int, stride: int) -> tuple[int, int]:
-    """Return the rows and columns of the tiles that are evaluated with the same maps. A scan
-    changes cells up to the reach [cells] of its beams from the robot, and the information of nodes
-    up to the reach of theirs from these. `tiles` are those of the lattice, `stride` cells a
-    node."""
+    """Return the rows and columns of the tiles that are evaluated with the same maps.
+
+    A scan changes cells up to the reach [cells] of its beams from the robot, and the information of
+    nodes up to the reach of theirs from these. `tiles` are those of the lattice, `stride` cells a
+    node.
+    """
     most = 1 + -(-4 * reach // (TILE * stride))
     # A last tile is moved inwards, into the one before it, so a group has at least two.
     rows, columns = (min(count, max(2, most)) for count in tiles)
@@ -62,7 +68,9 @@ def first_group(
 
 def find_reached_blocks(offset: np.ndarray, stride: int) -> np.ndarray:
     """Return the directions in which beams from a tile's nodes reach each block around the tile.
-    The mask is over blocks and directions, (n, n, D), with the tile's own blocks in the middle."""
+
+    The mask is over blocks and directions, (n, n, D), with the tile's own blocks in the middle.
+    """
     # For each offset of a beam, its end cells over all nodes of the tile form a rectangle, which
     # covers a rectangle of blocks.
     side = TILE * stride // BLOCKS

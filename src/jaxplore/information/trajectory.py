@@ -216,8 +216,10 @@ class _Window:
         return jnp.zeros((height + 2 * self.reach, width + 2 * self.reach), dtype)
 
     def first(self, position: Position) -> Int[Array, "2"]:
-        """Return the middle cell of a window, clipped to the map. On the padded map it is the index
-        at which the window begins."""
+        """Return the middle cell of a window, clipped to the map.
+
+        On the padded map it is the index at which the window begins.
+        """
         # A pose off the map sees nothing, but its window still has to lie within the padded map.
         cell = self.grid.frame.to_cell(jnp.where(jnp.isfinite(position), position, 0.0))
         return jnp.clip(cell, 0, jnp.asarray(self.grid.shape, jnp.int32) - 1)

@@ -89,9 +89,11 @@ class VoxelTable(eqx.Module):
         shape: tuple[int, int, int],
         sensor: CellSensor,
     ) -> Float[Array, "A d h w"]:
-        """Return the information of each sector from every viewpoint of a lattice [nat]. Beyond the
-        array nothing passes and nothing is learned. `first` is the voxel (k, j, i) of viewpoint (0,
-        0, 0), and `shape` the numbers of viewpoints along z, y and x; both static."""
+        """Return the information of each sector from every viewpoint of a lattice [nat].
+
+        Beyond the array nothing passes and nothing is learned. `first` is the voxel (k, j, i) of
+        viewpoint (0, 0, 0), and `shape` the numbers of viewpoints along z, y and x; both static.
+        """
         probability = settle(probability, sensor)
         passing, gains = 1.0 - probability, expected_gain(probability, sensor)
         step, reach = self.stride, self.reach
@@ -147,8 +149,10 @@ def band(
     num_sectors: int, num_elevations: int, lowest: float, highest: float
 ) -> tuple[np.ndarray, float]:
     """Return unit vectors (3, A E) (x, y, z) in the middles of equal solid angles, and their size.
+
     Each of A sectors has E rays between the edges of the band, two elevations [rad]. Sector a is
-    around the azimuth `(a + 1/2) 2 pi / A`."""
+    around the azimuth `(a + 1/2) 2 pi / A`.
+    """
     azimuth = (np.arange(num_sectors) + 0.5) * 2.0 * math.pi / num_sectors
     # Zones of equal height on the unit sphere have equal areas (Archimedes).
     low, high = math.sin(lowest), math.sin(highest)

@@ -41,7 +41,9 @@ def find_closed_cells(
     grid: OccupancyGrid, ground: Ground | None, window: Window | None = None
 ) -> GridMask:
     """Return the mask of the cells that are not known to be free, or that the ground blocks.
-    Without a ground the map is level. Without a window the mask is of the whole map."""
+
+    Without a ground the map is level. Without a window the mask is of the whole map.
+    """
     probability = grid.probability if window is None else window.read(grid.probability)
     closed = ~(probability < FREE_THRESHOLD)
     if ground is None:
@@ -57,9 +59,11 @@ def update_clearance(
     max_distance: float,
 ) -> ScalarField:
     """Return the `clearance_field` of a map that has changed in a window only, to the bit.
+
     Distances change within the bound `max_distance` [m] (static) around the window, and depend on
     the cells within the bound around these. So the cost is that of a map as large as the window and
-    twice the bound on each side. `blocked` returns the mask of a part of the map."""
+    twice the bound on each side. `blocked` returns the mask of a part of the map.
+    """
     reach = _reach(max_distance, field.frame.resolution)
     inner, outer = window.grow(reach), window.grow(2 * reach)
     values = _distances(blocked(outer), field.frame.resolution, max_distance)

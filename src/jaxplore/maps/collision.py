@@ -21,9 +21,11 @@ def footprint_clearance(
     footprint: Footprint,
     reach: int,
 ) -> Scalar:
-    """Compute the distance from a robot's edge to the nearest solid square cell [m]. Exact for a
-    disc and for a rectangle; for another footprint, the distance from the discs that cover it.
-    `reach` is static; see `clearance_reach`."""
+    """Compute the distance from a robot's edge to the nearest solid square cell [m].
+
+    Exact for a disc and for a rectangle; for another footprint, the distance from the discs that
+    cover it. `reach` is static; see `clearance_reach`.
+    """
     if isinstance(footprint, Rectangle):
         in_grid, turn = frame.to_grid(position), heading - frame.origin[2]
         return rectangle_clearance(solid, in_grid, turn, footprint, frame.resolution, reach)
@@ -120,9 +122,12 @@ def discs_clearance(
     heading: Scalar,
     footprint: Footprint,
 ) -> Scalar:
-    """Compute the distance from a robot's edge to the nearest of M discs [m]. Exact for a disc and
-    for a rectangle, negative where they overlap; for another footprint, the distance from the discs
-    that cover it. Infinite without discs. Positions and heading are in the world."""
+    """Compute the distance from a robot's edge to the nearest of M discs [m].
+
+    Exact for a disc and for a rectangle, negative where they overlap; for another footprint, the
+    distance from the discs that cover it. Infinite without discs. Positions and heading are in the
+    world.
+    """
     if isinstance(footprint, Rectangle):
         x, y = centres[:, 0] - position[0], centres[:, 1] - position[1]
         cos, sin = jnp.cos(heading), jnp.sin(heading)
@@ -140,8 +145,10 @@ def discs_clearance(
 
 
 def clearance_reach(footprint: Footprint | float, resolution: float, margin: float = 0.5) -> int:
-    """Return the number of cells to examine for a clearance that is exact up to `margin` [m]. A
-    number as the footprint is the radius of a disc [m]."""
+    """Return the number of cells to examine for a clearance that is exact up to `margin` [m].
+
+    A number as the footprint is the radius of a disc [m].
+    """
     if isinstance(footprint, Rectangle):
         ends = max(float(footprint.front), float(footprint.rear))
         extent = math.hypot(ends, 0.5 * float(footprint.width))

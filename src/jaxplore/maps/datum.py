@@ -111,8 +111,10 @@ ORIGIN = Datum()
 
 
 def move_points(points: Rows, offset: np.ndarray, columns: tuple[int, int] = (0, 1)) -> np.ndarray:
-    """Return points (..., N) in float64 with an offset (x, y) added to the columns of x and y. An
-    offset of zero changes nothing, the type included."""
+    """Return points (..., N) in float64 with an offset (x, y) added to the columns of x and y.
+
+    An offset of zero changes nothing, the type included.
+    """
     given = np.asarray(points)
     if not offset.any():
         return given

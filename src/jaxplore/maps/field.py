@@ -64,8 +64,10 @@ def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5
 def gather(
     values: Float[Array, "*S"], around: Stencil, outside: Scalar | float, channel: Count | int = 0
 ) -> Scalar:
-    """Return one channel of node values (H, W) or (C, H, W), interpolated at a point. Off the
-    lattice it is `outside`."""
+    """Return one channel of node values (H, W) or (C, H, W), interpolated at a point.
+
+    Off the lattice it is `outside`.
+    """
     height, width = values.shape[-2:]
     # Use one flat index: a multi-dimensional gather needs a multiplication and a bounds check per
     # axis.
@@ -80,8 +82,10 @@ def gather(
 def bilinear(
     values: Float[Array, "H W"], grid: Float[Array, "2"], outside: Scalar | float
 ) -> Scalar:
-    """Return the bilinear interpolation of node values (H, W) at a point (row, column) [cells]. Off
-    the lattice it is `outside`; see `stencil`."""
+    """Return the bilinear interpolation of node values (H, W) at a point (row, column) [cells].
+
+    Off the lattice it is `outside`; see `stencil`.
+    """
     height, width = values.shape
     return gather(values, stencil((height, width), grid), outside)
 

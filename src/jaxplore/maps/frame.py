@@ -71,8 +71,10 @@ class GridFrame(eqx.Module):
         return jnp.stack([cos * y - sin * x, cos * x + sin * y], axis=-1) / self.resolution
 
     def to_cell(self, points: Float[Array, "*N 2"]) -> Int[Array, "*N 2"]:
-        """Return the cell (row, column) that contains each world point (x, y) [m]. The cell may be
-        off the map; that of a point that is not finite is."""
+        """Return the cell (row, column) that contains each world point (x, y) [m].
+
+        The cell may be off the map; that of a point that is not finite is.
+        """
         grid = self.to_grid(points)
         # Converting NaN to an integer is undefined: it depends on the machine.
         return jnp.floor(jnp.where(jnp.isfinite(grid), grid, -1.0)).astype(jnp.int32)
@@ -100,10 +102,12 @@ class GridFrame(eqx.Module):
     def coarsen(
         self, stride: int, node: float, first: Int[Array, "2"] | None = None
     ) -> "GridFrame":
-        """Return the frame of a coarser lattice with one node every `stride` cells. Node (i, j),
-        the centre of cell (i, j) of the new frame, is at the grid coordinates `first + (i * stride
-        + node, j * stride + node)` of this frame. `first` is (0, 0) when None; with it the lattice
-        has no `map_shape`."""
+        """Return the frame of a coarser lattice with one node every `stride` cells.
+
+        Node (i, j), the centre of cell (i, j) of the new frame, is at the grid coordinates `first +
+        (i * stride + node, j * stride + node)` of this frame. `first` is (0, 0) when None; with it
+        the lattice has no `map_shape`.
+        """
         # The new frame's origin is the outer corner of its first cell, half a stride before node 0.
         corner = jnp.full(2, node - stride / 2.0)
         if first is not None:

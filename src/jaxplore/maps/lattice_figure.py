@@ -58,8 +58,10 @@ def lattice_figure(
 
 
 def show_in_notebooks(figure: "Figure") -> "Figure":
-    """Return the figure, which a notebook then shows at the end of a cell. By itself a figure that
-    was made without `pyplot` is shown as text."""
+    """Return the figure, which a notebook then shows at the end of a cell.
+
+    By itself a figure that was made without `pyplot` is shown as text.
+    """
     # Notebooks look for a method of this name, and find it on an instance as well.
     setattr(figure, "_repr_png_", functools.partial(_png, figure))  # noqa: B010
     return figure

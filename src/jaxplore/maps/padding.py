@@ -9,9 +9,11 @@ SMALLEST = 32
 
 
 def choose_padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """Return the rows and columns to which a map is padded. Each side is rounded up to 32, 64, 96,
-    128, 160, ..., 256, 320, 384, 448, 512, 640, ...: there are four sizes between a power of two
-    and the next. A side grows by less than a quarter, or 32."""
+    """Return the rows and columns to which a map is padded.
+
+    Each side is rounded up to 32, 64, 96, 128, 160, ..., 256, 320, 384, 448, 512, 640, ...: there
+    are four sizes between a power of two and the next. A side grows by less than a quarter, or 32.
+    """
     rows, columns = (_pad_side(side) for side in shape)
     return rows, columns
 
@@ -24,8 +26,10 @@ def _pad_side(side: int) -> int:
 def pad_cells(
     name: str, values: np.ndarray, shape: tuple[int, int], value: float | bool
 ) -> np.ndarray:
-    """Return an array (H, W, ...) with rows and columns of a value added at its end. `shape` has
-    the rows and columns after padding; messages call it `name`."""
+    """Return an array (H, W, ...) with rows and columns of a value added at its end.
+
+    `shape` has the rows and columns after padding; messages call it `name`.
+    """
     shape = _checks.rows_and_columns(name, shape)
     more = [wanted - given for wanted, given in zip(shape, values.shape[:2], strict=True)]
     if min(more) < 0:
@@ -37,8 +41,10 @@ def pad_cells(
 
 def common_shapes(shapes: dict[str, tuple[int, int]], most: int) -> dict[str, tuple[int, int]]:
     """Choose a padded shape for each of several maps, with at most `most` different shapes in all.
+
     Begins with `choose_padded_shape` of each map. While there are more shapes, the two whose maps
-    need the fewest additional cells in a common one are merged."""
+    need the fewest additional cells in a common one are merged.
+    """
     groups: dict[tuple[int, int], list[str]] = {}
     for name, shape in shapes.items():
         groups.setdefault(choose_padded_shape(shape), []).append(name)

@@ -91,9 +91,11 @@ def rectangle_mask(
 
 
 def disc_mask(discs: Rows, frame: GridFrame, shape: tuple[int, int]) -> Mask:
-    """Return the cells (H, W) whose centre is in a disc, `|c - (x, y)| <= radius`. A disc that
-    contains no cell centre marks the cell of its own centre. Discs (N, 3) are (x, y, radius) in the
-    world [m], checked."""
+    """Return the cells (H, W) whose centre is in a disc, `|c - (x, y)| <= radius`.
+
+    A disc that contains no cell centre marks the cell of its own centre. Discs (N, 3) are (x, y,
+    radius) in the world [m], checked.
+    """
     mask = np.zeros(shape, bool)
     accepted = "(N, 3) finite numbers (x, y, radius), radius > 0"
     for row in _rows("discs", discs, 3, accepted, lambda row: bool(row[2] > 0)):
@@ -107,8 +109,10 @@ def disc_mask(discs: Rows, frame: GridFrame, shape: tuple[int, int]) -> Mask:
 
 def cell_at(point: Vector, frame: GridFrame) -> tuple[int, int]:
     """Return the cell (row, column) that contains a world point (x, y) [m]; it may be off the map.
+
     It is `GridFrame.to_cell` in double precision. A point within rounding of an edge belongs to the
-    cell with the greater index."""
+    cell with the greater index.
+    """
     cell = np.floor(_to_grid(np.asarray(point, np.float64), frame) + TOLERANCE)
     return int(cell[0]), int(cell[1])
 

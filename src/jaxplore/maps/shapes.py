@@ -32,8 +32,10 @@ class Shapes:
 
 
 def shapes_under(name: str, entries: object) -> Shapes:
-    """Return the shapes under an entry of a world. No mapping, or a shape that `Shapes` refuses,
-    raises a `ValueError` that names the entry."""
+    """Return the shapes under an entry of a world.
+
+    No mapping, or a shape that `Shapes` refuses, raises a `ValueError` that names the entry.
+    """
     if not isinstance(entries, Mapping):
         raise ValueError(
             f"{name} is {_text.short_repr(entries)}; accepted: a mapping with " + ", ".join(SHAPES)

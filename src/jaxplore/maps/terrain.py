@@ -48,8 +48,10 @@ UNKNOWN = 0.5
 
 
 def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the content of a terrain file that holds arrays by name; nothing is written. A path
-    that does not end in .npz raises a `ValueError`."""
+    """Return the content of a terrain file that holds arrays by name; nothing is written.
+
+    A path that does not end in .npz raises a `ValueError`.
+    """
     if path.suffix.lower() != _SUFFIX:
         raise ValueError(f"path is {printable_path(path)}; accepted: a name that ends in {_SUFFIX}")
     plain = {name: np.asarray(value, _TYPES[name][0], order="C") for name, value in arrays.items()}
@@ -59,9 +61,12 @@ def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]], T]) -> T:
-    """Check the content of a terrain file and build an object from its arrays. Types, numbers of
-    axes and sizes are checked against those that `pack` writes, and the layers must have one shape.
-    `build` gets the arrays by name and has to check their values. The path is for messages."""
+    """Check the content of a terrain file and build an object from its arrays.
+
+    Types, numbers of axes and sizes are checked against those that `pack` writes, and the layers
+    must have one shape. `build` gets the arrays by name and has to check their values. The path is
+    for messages.
+    """
     try:
         return build(_arrays(data))
     except MALFORMED_NPZ as error:

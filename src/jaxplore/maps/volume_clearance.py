@@ -14,9 +14,11 @@ from jaxplore.maps.window import Window, near_faces
 def clearance_of_volume(
     grid: VoxelGrid, reach: int, closed: Bool[Array, "D H W"] | None = None
 ) -> VolumeField:
-    """Return the distance of each voxel's centre from the nearest closed voxel [m]. `closed` are
-    all voxels that are not known to be free when None. `reach` is the greatest distance of interest
-    [voxels]; static."""
+    """Return the distance of each voxel's centre from the nearest closed voxel [m].
+
+    `closed` are all voxels that are not known to be free when None. `reach` is the greatest
+    distance of interest [voxels]; static.
+    """
     side, shape = grid.resolution, grid.shape
     nothing = jnp.zeros(shape)
     everything = Window.at(jnp.zeros(3, jnp.int32), shape, shape)
@@ -31,8 +33,11 @@ def update_clearance(
     reach: int,
     closed: Bool[Array, "D H W"] | None = None,
 ) -> Float[Array, "D H W"]:
-    """Return the distances of `clearance_of_volume` [m] after a change in a window. `before` are
-    the distances before the change. The window has twice the reach around all that has changed."""
+    """Return the distances of `clearance_of_volume` [m] after a change in a window.
+
+    `before` are the distances before the change. The window has twice the reach around all that has
+    changed.
+    """
     seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
     near = ~seen.is_free if closed is None else window.read(closed)
     # Beyond the map all is closed.

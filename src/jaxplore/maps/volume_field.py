@@ -11,8 +11,10 @@ from jaxplore._types import Scalar
 
 class VolumeField(eqx.Module):
     """Scalar field in a volume, read in O(1); `ScalarField` of the plane in three dimensions.
+
     `origin` is the position of node (0, 0, 0), `spacing` (static) that of nodes [m], and `outside`
-    the value farther than half a spacing off the lattice, and at what is not finite."""
+    the value farther than half a spacing off the lattice, and at what is not finite.
+    """
 
     values: Float[Array, "D H W"]
     origin: Float[Array, "3"]

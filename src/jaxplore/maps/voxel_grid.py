@@ -167,8 +167,10 @@ def contains(voxel: Int[Array, "3 *N"], shape: Sequence[int]) -> Bool[Array, "*N
 
 
 def flat_index(voxel: Int[Array, "3 *N"], shape: Sequence[int]) -> Int[Array, "*N"]:
-    """Return the indices of voxels (k, j, i) in a flattened array (D, H, W). A voxel off the array
-    has the index of another one, or none."""
+    """Return the indices of voxels (k, j, i) in a flattened array (D, H, W).
+
+    A voxel off the array has the index of another one, or none.
+    """
     _, height, width = shape
     index: Array = (voxel[0] * height + voxel[1]) * width + voxel[2]
     return index

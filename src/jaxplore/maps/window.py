@@ -15,9 +15,11 @@ from jaxplore.maps.frame import GridFrame
 
 
 class Window(eqx.Module):
-    """A box of cells of a map of n axes. Its shape is static, and its place may be traced. A map
-    that is no larger than the window is the window: nothing is cut out then. `corner` is the first
-    cell, such as (row, column). `map_shape` is the shape of the map's arrays."""
+    """A box of cells of a map of n axes. Its shape is static, and its place may be traced.
+
+    A map that is no larger than the window is the window: nothing is cut out then. `corner` is the
+    first cell, such as (row, column). `map_shape` is the shape of the map's arrays.
+    """
 
     corner: Int[Array, " n"]
     shape: tuple[int, ...] = eqx.field(static=True)
@@ -28,7 +30,9 @@ class Window(eqx.Module):
         cls, corner: Int[Array, " n"], shape: Sequence[int], map_shape: tuple[int, ...]
     ) -> "Window":
         """Return a window of a map with a first cell; at the border of the map it is moved inwards.
-        Along each axis it has no more cells than the map. Both shapes are static."""
+
+        Along each axis it has no more cells than the map. Both shapes are static.
+        """
         sizes = tuple(min(own, size) for own, size in zip(shape, map_shape, strict=True))
         farthest = np.subtract(map_shape, sizes).astype(np.int32)
         return cls(jnp.clip(corner, 0, farthest), sizes, map_shape)
@@ -38,7 +42,9 @@ class Window(eqx.Module):
         cls, position: Position, reach: float, frame: GridFrame, map_shape: tuple[int, int]
     ) -> "Window":
         """Return the window that holds all cells of the map within `reach` [m] of a position.
-        Around a position that is not finite it is anywhere. `reach` and `map_shape` are static."""
+
+        Around a position that is not finite it is anywhere. `reach` and `map_shape` are static.
+        """
         # One cell more: a reading at the greatest range is taken to lie behind it (`Sensor.sight`).
         cells = math.ceil(reach / frame.resolution) + 1
         return cls.at(frame.to_cell(position) - cells, [2 * cells + 1] * 2, map_shape)
@@ -79,9 +85,11 @@ class Window(eqx.Module):
 
 
 def read_first(window: Window, values: Array) -> tuple[Array, Array]:
-    """Return the part of an array in a window, and the array to go on with. The part is read before
-    the array that is returned changes. A compiler that reads it later, from the array before its
-    change, must copy the array, however small the window is."""
+    """Return the part of an array in a window, and the array to go on with.
+
+    The part is read before the array that is returned changes. A compiler that reads it later, from
+    the array before its change, must copy the array, however small the window is.
+    """
     barrier = jax.lax.optimization_barrier
     part, same = barrier((window.read(values), values))  # type: ignore[no-untyped-call]
     return part, same
@@ -91,7 +99,9 @@ def near_faces(
     shape: Sequence[int], which: Bool[Array, "n 2"], width: int
 ) -> Bool[Array, "*shape"]:
     """Return the mask of the cells of a box that are within `width` cells of some of its faces.
-    `which` tells whether the low and the high face across each axis count."""
+
+    `which` tells whether the low and the high face across each axis count.
+    """
     near = jnp.zeros(shape, bool)
     for axis, size in enumerate(shape):
         along = jnp.arange(size)

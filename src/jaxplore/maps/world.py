@@ -92,9 +92,12 @@ def _gaps(
 
 @dataclass(frozen=True)
 class WorldCells:
-    """The cells of a world. `size` is the width (x) and the height (y) of the map, `origin` its
-    lower corner (x, y), and `wall_reach` half the thickness of a wall [m]. Each check raises a
-    `ValueError` of one line that names the entry."""
+    """The cells of a world.
+
+    `size` is the width (x) and the height (y) of the map, `origin` its lower corner (x, y), and
+    `wall_reach` half the thickness of a wall [m]. Each check raises a `ValueError` of one line that
+    names the entry.
+    """
 
     size: tuple[float, float]
     origin: tuple[float, float]
@@ -119,8 +122,10 @@ class WorldCells:
         return GridFrame(self.resolution)
 
     def rasterise(self, kind: str, rows: tuple[Row, ...]) -> Cells:
-        """Return the mask (H, W) of the cells that shapes of one kind cover. A kind is walls,
-        rectangles, discs or zones. A cell belongs to a zone if its centre does."""
+        """Return the mask (H, W) of the cells that shapes of one kind cover.
+
+        A kind is walls, rectangles, discs or zones. A cell belongs to a zone if its centre does.
+        """
         frame, shape, corner = self._frame, self.shape, np.array(self.origin)
         if kind == "discs":
             return disc_mask([(*(row[:2] - corner).tolist(), row[2]) for row in rows], frame, shape)
@@ -137,8 +142,10 @@ class WorldCells:
         return mask
 
     def rasterise_obstacles(self, shapes: Shapes, prefix: str = "") -> Cells:
-        """Return the cells that obstacles cover, each of them at least one. In messages `prefix`
-        stands before the name of their entry."""
+        """Return the cells that obstacles cover, each of them at least one.
+
+        In messages `prefix` stands before the name of their entry.
+        """
         solid = np.zeros(self.shape, bool)
         for kind in SHAPES:
             for index, row in enumerate(getattr(shapes, kind)):
@@ -227,8 +234,10 @@ class WorldCells:
 
 
 def map_shape(size: tuple[float, float], resolution: float) -> tuple[float, float]:
-    """Return the rows and columns of a map by its width (x) and height (y) [m]. They are whole
-    numbers, which may be too large for an array."""
+    """Return the rows and columns of a map by its width (x) and height (y) [m].
+
+    They are whole numbers, which may be too large for an array.
+    """
     width, height = (float(np.maximum(1.0, np.ceil(side / resolution - SLIVER))) for side in size)
     return height, width
 
@@ -442,9 +451,11 @@ def is_world_file(path: str | os.PathLike[str]) -> bool:
 
 
 def world_shape(entries: Mapping[Any, Any]) -> tuple[tuple[float, float], float]:
-    """Return the rows and columns of a world, and its resolution [m], without building it. The
-    entries are those of `World.from_dict`. A size or a resolution that `World` refuses raises a
-    `ValueError`."""
+    """Return the rows and columns of a world, and its resolution [m], without building it.
+
+    The entries are those of `World.from_dict`. A size or a resolution that `World` refuses raises a
+    `ValueError`.
+    """
     if "size" not in entries:
         raise ValueError("size is missing; accepted: a world with size and start")
     size = CHECKS["size"]("size", entries["size"])

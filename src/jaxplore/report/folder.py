@@ -37,9 +37,11 @@ def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
 
 @contextmanager
 def reserve_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[None]:
-    """Check whether a run folder can be written, and keep other processes from it in the body. A
-    test folder is made beside the later one and removed again, with any missing parents. In the
-    body this thread can write the folder by `run_folder`. Else a `ValueError` is raised."""
+    """Check whether a run folder can be written, and keep other processes from it in the body.
+
+    A test folder is made beside the later one and removed again, with any missing parents. In the
+    body this thread can write the folder by `run_folder`. Else a `ValueError` is raised.
+    """
     target = _target(path)
     with _reserve(target, overwrite) as hidden:
         with in_one_line("run folder", target):
@@ -54,9 +56,11 @@ def reserve_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Ite
 
 @contextmanager
 def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a hidden folder that is moved to `path` at the end; missing parents are made. After an
-    exception, Ctrl-C included, the hidden folder is removed and `path` is unchanged. With
-    `overwrite`, a former run is replaced once the new one is complete."""
+    """Yield a hidden folder that is moved to `path` at the end; missing parents are made.
+
+    After an exception, Ctrl-C included, the hidden folder is removed and `path` is unchanged. With
+    `overwrite`, a former run is replaced once the new one is complete.
+    """
     target = _target(path)
     with ExitStack() as stack:
         folder = _reservations.get((threading.get_ident(), target))
@@ -82,8 +86,11 @@ def is_reserved(path: Path) -> bool:
 
 @contextmanager
 def lock_folder(folder: Path, what: str) -> Iterator[None]:
-    """Keep other processes from a folder to which files are added one by one. It is made with its
-    parents. If it is empty at the end, it is removed with those. `what` is its name in messages."""
+    """Keep other processes from a folder to which files are added one by one.
+
+    It is made with its parents. If it is empty at the end, it is removed with those. `what` is its
+    name in messages.
+    """
     with ExitStack() as stack:
         with in_one_line(what, folder):
             stack.callback(_remove_empty, _make_parents(folder))
@@ -111,8 +118,9 @@ def _reserve(target: Path, overwrite: bool) -> Iterator[Path]:
 @contextmanager
 def hidden_folder(target: Path, what: str) -> Iterator[Path]:
     """Yield the path of a hidden folder beside `target`, which other processes cannot write then.
-    It does not exist yet, and is removed at the end. `what` is the name of the folder in
-    messages."""
+
+    It does not exist yet, and is removed at the end. `what` is the name of the folder in messages.
+    """
     with ExitStack() as stack:
         try:
             hidden = stack.enter_context(reserve_hidden_folder(target))
@@ -188,8 +196,10 @@ def _make(folder: Path, target: Path) -> None:
 @contextmanager
 def whole_file(target: Path, what: str) -> Iterator[Path]:
     """Yield an empty hidden file that is moved to `target` at the end, also safe in a power cut.
+
     After an exception, Ctrl-C included, `target` is unchanged. The file is locked, so it must be
-    written in place. `what` names in messages the object that the file belongs to."""
+    written in place. `what` names in messages the object that the file belongs to.
+    """
     # The file is made in the folder of its target, because only there the rename is one operation.
     with in_one_line(what, target), open_hidden_file(target) as temporary:
         yield temporary

@@ -75,8 +75,10 @@ def _errors(mapped: LogMap, poses: np.ndarray) -> dict[str, float | None] | None
 
 
 def log_figure(mapped: LogMap) -> "Figure":
-    """Draw the map with the trajectories of the log, of dead reckoning and of the localisation. The
-    trajectories begin at the same pose, and none is aligned."""
+    """Draw the map with the trajectories of the log, of dead reckoning and of the localisation.
+
+    The trajectories begin at the same pose, and none is aligned.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -135,8 +137,10 @@ def log_figure(mapped: LogMap) -> "Figure":
 
 def _coarser(belief: np.ndarray, size: np.ndarray, grid: OccupancyGrid) -> tuple[np.ndarray, int]:
     """Return the belief in blocks that are no smaller than pixels, and the cells along a block.
+
     `size` is the width and height of what is drawn [m]. A block with an occupied cell is occupied,
-    so that walls of one cell stay visible."""
+    so that walls of one cell stay visible.
+    """
     factor = max(1, round(float(size.max()) / grid.resolution / MOST_PIXELS))
     # Rows and columns of unknown cells fill the last blocks.
     short = [-count % factor for count in belief.shape]

@@ -75,8 +75,10 @@ def move_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) ->
 
 
 def robot_columns(names: Sequence[str]) -> dict[str, dict[str, int]]:
-    """Return for each robot the columns of a state (nx,) by the names of its components. Of several
-    robots the names end with their numbers, as `Formation` gives them: `x_1`, `y_2`."""
+    """Return for each robot the columns of a state (nx,) by the names of its components.
+
+    Of several robots the names end with their numbers, as `Formation` gives them: `x_1`, `y_2`.
+    """
     if "x" in names or "x_1" not in names:
         return {"": {name: column for column, name in enumerate(names)}}
     found: dict[str, dict[str, int]] = {}
@@ -161,7 +163,9 @@ class RunData:
 
     def move[R: "RunData"](self: R, offset: np.ndarray) -> R:
         """Return the data with an offset (2,) [m] added to all positions but those of the frames.
-        These have `Frame.move`."""
+
+        These have `Frame.move`.
+        """
         if not offset.any():
             return self
         return dataclasses.replace(self, **self.move_fields(offset))

@@ -39,8 +39,11 @@ _OF_A_PART = re.compile(r"jaxplore\.parts\.[a-z_]+\.report")
 
 
 def pack_recording(recording: Recording) -> dict[str, np.ndarray]:
-    """Return arrays that hold a recording, for `unpack_recording`. `structure` is JSON: the class,
-    and its fields with their numbers and texts. Arrays are apart. Frames are stacked."""
+    """Return arrays that hold a recording, for `unpack_recording`.
+
+    `structure` is JSON: the class, and its fields with their numbers and texts. Arrays are apart.
+    Frames are stacked.
+    """
     arrays: dict[str, np.ndarray] = {}
     fields = {field.name: getattr(recording, field.name) for field in dataclasses.fields(recording)}
     frames = fields.pop("frames")
@@ -89,8 +92,11 @@ def load_run[T](
     path: str | PathLike[str],
     build: Callable[[Recording, Metrics, Mapping[str, np.ndarray]], T],
 ) -> T:
-    """Read a run folder, and build an object from it. `build` is given the recording, its metrics
-    and all arrays of the state file. The metrics are computed from the recording again."""
+    """Read a run folder, and build an object from it.
+
+    `build` is given the recording, its metrics and all arrays of the state file. The metrics are
+    computed from the recording again.
+    """
     folder = Path(path)
     report = read_bytes(folder / MARK, "a run folder with this", METRICS_LIMIT)
     data = read_bytes(folder / NAME, "a run folder with this", FILE_LIMIT)
@@ -126,8 +132,10 @@ def _seed(value: Any) -> int | None:
 
 
 def unpack_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
-    """Return the recording that `pack_recording` stored. Its class, and that of its frames, are
-    looked up among those that are imported."""
+    """Return the recording that `pack_recording` stored.
+
+    Its class, and that of its frames, are looked up among those that are imported.
+    """
     structure = parse_json(arrays["structure"].tobytes(), METRICS_LIMIT)
     kind = _find_class(Recording, structure["kind"])
     hints = typing.get_type_hints(kind)
@@ -208,8 +216,10 @@ def _unpack(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
 
 
 def _make_part(packed: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> PartReport:
-    """Return what a run shows of a part; its class is looked up among those that are imported. A
-    part of the package is imported first: reading a run needs no part but its own."""
+    """Return what a run shows of a part; its class is looked up among those that are imported.
+
+    A part of the package is imported first: reading a run needs no part but its own.
+    """
     module = packed.get("module")
     if isinstance(module, str) and _OF_A_PART.fullmatch(module):
         with contextlib.suppress(ModuleNotFoundError):

@@ -22,9 +22,11 @@ class Quartiles(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """Ratio of two medians over the same seeds, with the ends of its interval. It is NaN if both
-    medians are infinite or the second is zero. The upper end is infinite where too few runs have a
-    value."""
+    """Ratio of two medians over the same seeds, with the ends of its interval.
+
+    It is NaN if both medians are infinite or the second is zero. The upper end is infinite where
+    too few runs have a value.
+    """
 
     value: float
     low: float
@@ -32,9 +34,11 @@ class Ratio(NamedTuple):
 
 
 def quartiles(values: Sequence[float | None]) -> Quartiles:
-    """Compute the quartiles of a quantity over runs, of which there is at least one. A run with
-    None counts as infinite, such as the time of a run that was never finished. Quartiles are not
-    interpolated between a value and infinity."""
+    """Compute the quartiles of a quantity over runs, of which there is at least one.
+
+    A run with None counts as infinite, such as the time of a run that was never finished. Quartiles
+    are not interpolated between a value and infinity.
+    """
     if not values:
         raise ValueError("values is empty; accepted: those of at least one run")
     numbers = np.sort([math.inf if value is None else value for value in values])

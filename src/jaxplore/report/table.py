@@ -44,9 +44,11 @@ def print_table(
     has_lines: bool = False,
     widest: int | None = None,
 ) -> None:
-    """Print a table on the terminal, with the header as the first row. In a file only columns wider
-    than `widest` [characters] are wrapped; None sets no bound. `has_lines` draws lines between
-    rows."""
+    """Print a table on the terminal, with the header as the first row.
+
+    In a file only columns wider than `widest` [characters] are wrapped; None sets no bound.
+    `has_lines` draws lines between rows.
+    """
     heading = None if title is None else _plain(title)
     table = Table(title=heading, show_lines=has_lines, show_header=has_header)
     header, others = (rows[0], rows[1:]) if has_header else ([""] * len(rows[0]), rows)

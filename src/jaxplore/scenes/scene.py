@@ -19,9 +19,11 @@ HEAD_ROOM = 0.35
 
 
 class Scene(abc.ABC):
-    """The picture of a run in the browser; abstract. The run may have no step yet. A layer is a
-    node of the scene that the page can hide. Its lines and meshes are made when they are first
-    drawn, and changed after that."""
+    """The picture of a run in the browser; abstract. The run may have no step yet.
+
+    A layer is a node of the scene that the page can hide. Its lines and meshes are made when they
+    are first drawn, and changed after that.
+    """
 
     layers: tuple[str, ...] = ()
     """Names of the layers, in the order in which the page lists them."""
@@ -64,8 +66,11 @@ class Scene(abc.ABC):
     def lines(
         self, name: str, pieces: np.ndarray, colour: Colour | np.ndarray, thickness: float
     ) -> None:
-        """Draw segments with the ends `pieces` (N, 2, 3) [m]. The name is a layer, or layer/part.
-        There is one colour for all, or one (N, 2, 3) for each end. The thickness is in pixels."""
+        """Draw segments with the ends `pieces` (N, 2, 3) [m].
+
+        The name is a layer, or layer/part. There is one colour for all, or one (N, 2, 3) for each
+        end. The thickness is in pixels.
+        """
         colours = np.asarray(colour, np.uint8)
         colours = colours[:3] if colours.ndim == 1 else linear_light(colours)
         node = self._nodes.get(name)
@@ -117,9 +122,11 @@ class Scene(abc.ABC):
         size: tuple[float, float],
         height: float,
     ) -> None:
-        """Lay a picture (rows, columns, 3) on the ground, with row 0 at the low end of y. The name
-        is a layer, or layer/part. `pose` is that of the picture's corner [m, m, rad], `size` its
-        extents along x and y [m], and `height` the height [m] at which it lies."""
+        """Lay a picture (rows, columns, 3) on the ground, with row 0 at the low end of y.
+
+        The name is a layer, or layer/part. `pose` is that of the picture's corner [m, m, rad],
+        `size` its extents along x and y [m], and `height` the height [m] at which it lies.
+        """
         node = self._nodes.get(name)
         if node is not None:
             # Encoding is most of what a view costs.
@@ -205,8 +212,10 @@ class Scene(abc.ABC):
 
 
 def linear_light(colours: np.ndarray) -> np.ndarray:
-    """Return sRGB colours in 256 levels as levels of linear light (IEC 61966-2-1). viser takes the
-    colours of the ends of lines as such, and all others as sRGB."""
+    """Return sRGB colours in 256 levels as levels of linear light (IEC 61966-2-1).
+
+    viser takes the colours of the ends of lines as such, and all others as sRGB.
+    """
     level = colours / 255.0
     light = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
     return np.asarray((255.0 * light).round(), np.uint8)

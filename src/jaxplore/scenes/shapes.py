@@ -17,9 +17,11 @@ def raise_points(points: np.ndarray, height: float) -> np.ndarray:
 
 
 def segments(lines: np.ndarray, height: float) -> np.ndarray:
-    """Cut lines (N, T, 2) into segments (N * (T - 1), 2, 3) at a height [m]. A segment with an end
-    that is not finite becomes a point at the origin, below the ground, so that the number of
-    segments stays the same."""
+    """Cut lines (N, T, 2) into segments (N * (T - 1), 2, 3) at a height [m].
+
+    A segment with an end that is not finite becomes a point at the origin, below the ground, so
+    that the number of segments stays the same.
+    """
     pieces = raise_points(np.stack([lines[:, :-1], lines[:, 1:]], axis=2), height).reshape(-1, 2, 3)
     is_lost = ~np.isfinite(pieces).all(axis=(1, 2))
     pieces[is_lost] = (0.0, 0.0, BURIED)
@@ -27,8 +29,10 @@ def segments(lines: np.ndarray, height: float) -> np.ndarray:
 
 
 def grow_outlines(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Return outlines (N, 24, 2) of convex polygons (N, V, 2) that are grown by radii (N,) [m]. A
-    polygon of one corner becomes a disc. Points of a polygon that is not finite are NaN."""
+    """Return outlines (N, 24, 2) of convex polygons (N, V, 2) that are grown by radii (N,) [m].
+
+    A polygon of one corner becomes a disc. Points of a polygon that is not finite are NaN.
+    """
     along = np.einsum("nvi,ki->nkv", corners, _DIRECTIONS)
     farthest = np.take_along_axis(corners, along.argmax(axis=-1)[..., None], axis=1)
     return np.asarray(farthest + np.reshape(radii, (-1, 1, 1)) * _DIRECTIONS)

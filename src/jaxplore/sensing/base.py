@@ -343,10 +343,12 @@ class Sensor(Beams):
 def update_grid(
     belief: OccupancyGrid, sighting: Sighting, model: InverseSensorModel
 ) -> OccupancyGrid:
-    """Apply the inverse sensor model to each cell that a scan hit or passed. Each cell is updated
-    once per scan, however many beams cross it. It is updated as occupied if at least a third of
-    these beams hit it, else as free. So a wall survives beams that graze it, and the one reading in
-    fifty that noise cuts short does not close a passage beside the beam."""
+    """Apply the inverse sensor model to each cell that a scan hit or passed.
+
+    Each cell is updated once per scan, however many beams cross it. It is updated as occupied if at
+    least a third of these beams hit it, else as free. So a wall survives beams that graze it, and
+    the one reading in fifty that noise cuts short does not close a passage beside the beam.
+    """
     hits, passes, window = sighting
     is_occupied = (hits > 0) & (ONE_HIT_IN * hits >= hits + passes)
     change = jnp.where(is_occupied, model.occupied, jnp.where(passes > 0, model.free, 0.0))

@@ -22,8 +22,10 @@ def covers_circle(view: float) -> bool:
 
 
 def angle_between(number: int, view: float) -> float:
-    """Return the angle between neighbours among evenly spaced beams [rad]. `view` is the angle
-    between the outermost beams [rad]; 2 pi for a full circle."""
+    """Return the angle between neighbours among evenly spaced beams [rad].
+
+    `view` is the angle between the outermost beams [rad]; 2 pi for a full circle.
+    """
     # On a full circle the last beam is followed by the first: there are as many gaps as beams.
     return view / (number if covers_circle(view) else max(1, number - 1))
 
@@ -39,9 +41,11 @@ def fan_angles(number: int, view: float) -> np.ndarray:
 
 
 class Beams(eqx.Module):
-    """Fan of beams with equal angles between them, symmetric to the heading; abstract. `max_range`
-    is in metres. `field_of_view` is the angle between the outermost beams [rad], 2 pi for a full
-    circle."""
+    """Fan of beams with equal angles between them, symmetric to the heading; abstract.
+
+    `max_range` is in metres. `field_of_view` is the angle between the outermost beams [rad], 2 pi
+    for a full circle.
+    """
 
     num_beams: eqx.AbstractVar[int]
     max_range: eqx.AbstractVar[float]

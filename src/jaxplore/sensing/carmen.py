@@ -94,8 +94,10 @@ class LogLines:
         self.offsets = {"front": 0.0, "rear": 0.0}
 
     def add(self, number: int, line: bytes) -> None:
-        """Take in the line of a number, counted from 1; lines of other kinds are skipped. More
-        scans, or more lines ODOM, than a log may have raise a `ValueError`."""
+        """Take in the line of a number, counted from 1; lines of other kinds are skipped.
+
+        More scans, or more lines ODOM, than a log may have raise a `ValueError`.
+        """
         kind = line[:40].split(None, 1)[0].upper() if line[:40].strip() else b""
         name = kind.decode("ascii", "replace")
         if name in KINDS:
@@ -191,8 +193,10 @@ def _long(number: int, family: str, line: bytes) -> Reading:
 
 
 def _split_line(line: bytes, at: int, spare: int = 20) -> tuple[list[bytes], int]:
-    """Return the words of a line, and the number of beams, which is the word at index `at`. The
-    line is split at most `beams + at + spare` times, and the rest is one word."""
+    """Return the words of a line, and the number of beams, which is the word at index `at`.
+
+    The line is split at most `beams + at + spare` times, and the rest is one word.
+    """
     head = line.split(None, at + 1)
     beams = _whole(head[at]) if len(head) > at else 0
     if not 1 <= beams <= MOST_BEAMS:
@@ -302,8 +306,10 @@ def select_alike(lines: LogLines, kind: str) -> list[Reading]:
 
 
 def find_poses(readings: list[Reading], lines: LogLines, kind: str) -> list[Reading]:
-    """Return scans with poses: by the lines ODOM where their own have none. Between two of these
-    lines the pose changes evenly with time."""
+    """Return scans with poses: by the lines ODOM where their own have none.
+
+    Between two of these lines the pose changes evenly with time.
+    """
     if not readings or readings[0].pose is not None:
         return readings
     rows = np.frombuffer(lines.odometry).reshape(-1, 5)
@@ -383,10 +389,12 @@ def is_mounted(poses: Floats, odometry: Floats) -> bool:
 def odometry_by_lines(
     lines: LogLines, kind: str, readings: Sequence[Reading], poses: Floats
 ) -> Floats | None:
-    """Return the odometry (N, 3) of a corrected log by its lines ODOM; None if it has none. In a
-    corrected log of GMapping a line ODOM with the corrected pose follows each scan, and those up to
-    the next scan continue by the odometry: the odometry between two scans is the motion from the
-    first to the last. Where there are none, the motion between corrected poses stands for it."""
+    """Return the odometry (N, 3) of a corrected log by its lines ODOM; None if it has none.
+
+    In a corrected log of GMapping a line ODOM with the corrected pose follows each scan, and those
+    up to the next scan continue by the odometry: the odometry between two scans is the motion from
+    the first to the last. Where there are none, the motion between corrected poses stands for it.
+    """
     rows = np.frombuffer(lines.odometry).reshape(-1, 5)
     if len(rows) < 2 or len(readings) < 2:
         return None

@@ -71,8 +71,10 @@ class BeamModel(NamedTuple):
         entry: Float[Array, "B N"],
         exit_: Float[Array, "B N"],
     ) -> Float[Array, "B N"]:
-        """Return the log-density of each range, of a beam that ends somewhere in each cell. A beam
-        enters a cell at `entry` [m], where it leaves the one before, and leaves at `exit_`."""
+        """Return the log-density of each range, of a beam that ends somewhere in each cell.
+
+        A beam enters a cell at `entry` [m], where it leaves the one before, and leaves at `exit_`.
+        """
         # A cell is entered where the one before is left, so each edge is evaluated once.
         edges = jnp.concatenate([entry[:, :1], exit_], axis=1)
         below = erf((ranges[:, None] - edges) / (math.sqrt(2.0) * self.noise))
@@ -93,9 +95,11 @@ class BeamModel(NamedTuple):
         is_return: Bool[Array, " B"],
         expected: Float[Array, " B"],
     ) -> Float[Array, " B"]:
-        """Return the log-density of each range if the expected wall is gone. The beam then returns
-        from somewhere behind it or not at all, with equal shares. On the map the wall is at the
-        distance `expected` [m]."""
+        """Return the log-density of each range if the expected wall is gone.
+
+        The beam then returns from somewhere behind it or not at all, with equal shares. On the map
+        the wall is at the distance `expected` [m].
+        """
         share = 0.5 * (1.0 - self.outliers)
         density = share * self._beyond(ranges, expected) + self.stray
         return jnp.log(jnp.where(is_return, density, share + 0.5 * self.outliers))
@@ -130,10 +134,12 @@ def beam_evidence(
     is_return: Bool[Array, " B"],
     resolution: float,
 ) -> Evidence:
-    """Return the log-likelihood ratios of changes against a known map. The ratio of a cell is that
-    of the range's density with the change to its density without. A beam that ended at a moving
-    obstacle, before the greatest range and without a return, is evidence of a person alone. The
-    cells of each beam are in order, nearest first."""
+    """Return the log-likelihood ratios of changes against a known map.
+
+    The ratio of a cell is that of the range's density with the change to its density without. A
+    beam that ended at a moving obstacle, before the greatest range and without a return, is
+    evidence of a person alone. The cells of each beam are in order, nearest first.
+    """
     entry, exit_ = cells.entry * resolution, cells.exit * resolution
     blocks = cells.is_crossed & ~is_free
     expected = jnp.where(blocks, entry, jnp.inf).min(axis=-1)

@@ -43,9 +43,11 @@ def cluster_points(
     *,
     is_circle: bool,
 ) -> Clusters:
-    """Join neighbouring points of a scan whose distance is at most `gap` [m]. Beams outside
-    `is_point` do not count. `number` is the greatest number of clusters, K. `is_circle` tells
-    whether the first beam is beside the last. Both are static."""
+    """Join neighbouring points of a scan whose distance is at most `gap` [m].
+
+    Beams outside `is_point` do not count. `number` is the greatest number of clusters, K.
+    `is_circle` tells whether the first beam is beside the last. Both are static.
+    """
     size = points.shape[0]
     index = jnp.arange(size, dtype=jnp.int32)
     former = _find_former(is_point)
@@ -81,9 +83,11 @@ def cluster_points(
 def has_neighbour(
     points: Float[Array, "P 2"], is_point: Bool[Array, " P"], gap: Scalar
 ) -> Bool[Array, " P"]:
-    """Check which points (P,) of a circle have a neighbour. That is the point before or after, if
-    it is at most `gap` [m] and a fortieth of the circle away. The points are in the order of their
-    directions; those outside `is_point` do not count."""
+    """Check which points (P,) of a circle have a neighbour.
+
+    That is the point before or after, if it is at most `gap` [m] and a fortieth of the circle away.
+    The points are in the order of their directions; those outside `is_point` do not count.
+    """
     size = points.shape[0]
     former = _find_former(is_point)
     before = former % size
@@ -116,8 +120,10 @@ def _is_behind(
 
 
 class Edges(NamedTuple):
-    """Edges of things behind which the robot does not see, the nearest first. `is_there` tells
-    which of the E positions [m] are edges."""
+    """Edges of things behind which the robot does not see, the nearest first.
+
+    `is_there` tells which of the E positions [m] are edges.
+    """
 
     position: Float[Array, "E 2"]
     is_there: Bool[Array, " E"]

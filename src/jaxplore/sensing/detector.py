@@ -170,9 +170,11 @@ def check_classes(classes: object) -> tuple[str, ...]:
 
 
 def check_distributions(name: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Return `value` as a float32 array whose rows are probabilities that sum to 1. A traced value
-    is not checked. Another shape, a value outside [0, 1] or a row with another sum raises a
-    `ValueError`."""
+    """Return `value` as a float32 array whose rows are probabilities that sum to 1.
+
+    A traced value is not checked. Another shape, a value outside [0, 1] or a row with another sum
+    raises a `ValueError`.
+    """
     if _kinds.is_traced(value):
         return jnp.asarray(value, jnp.float32)
     given = _checks.floats(name, value, f"{shape} probabilities")

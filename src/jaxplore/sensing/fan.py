@@ -32,9 +32,11 @@ def fan(
 def first_entry(
     cells: RayCells, is_wanted: Bool[Array, "*B N"], unit: float = 1.0
 ) -> Float[Array, "*B"]:
-    """Return the distance at which each ray enters its first wanted cell, or infinity. The cells of
-    a ray are in order, nearest first. `unit` is the length of a cell's side in the unit of the
-    result: 1 for cells, the resolution for metres."""
+    """Return the distance at which each ray enters its first wanted cell, or infinity.
+
+    The cells of a ray are in order, nearest first. `unit` is the length of a cell's side in the
+    unit of the result: 1 for cells, the resolution for metres.
+    """
     return jnp.where(is_wanted, cells.entry * unit, jnp.inf).min(axis=-1)
 
 

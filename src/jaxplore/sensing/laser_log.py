@@ -219,8 +219,11 @@ def read_laser_log(path: str | PathLike[str], *, field_of_view: float | None = N
 
 
 def _unpack(path: Path) -> bytes:
-    """Return the text of a log in ASCII, unpacked. A `ValueError` refuses a file that cannot be
-    read, is too large, or is packed and damaged at its start."""
+    """Return the text of a log in ASCII, unpacked.
+
+    A `ValueError` refuses a file that cannot be read, is too large, or is packed and damaged at its
+    start.
+    """
     data = read_bytes(path, "a CARMEN log", LOG_LIMIT)
     if data[:2] == b"\x1f\x8b":
         data = _inflate(data)

@@ -44,8 +44,10 @@ class NoEcho:
         self._scans, self._readings, self._nothing, self._is_other = 0, 0, 0, False
 
     def with_infinite(self, ranges: np.ndarray, range_max: float) -> np.ndarray:
-        """Return readings (R,) [m] in which those that met nothing are infinite. `range_max` is the
-        greatest valid reading [m], infinite if there is none."""
+        """Return readings (R,) [m] in which those that met nothing are infinite.
+
+        `range_max` is the greatest valid reading [m], infinite if there is none.
+        """
         if self._rule == "inf":
             return ranges
         is_greatest = ranges >= range_max - self._margin

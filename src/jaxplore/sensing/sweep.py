@@ -24,9 +24,11 @@ class Sweep(NamedTuple):
 
 
 def undistort_points(points: np.ndarray, times: np.ndarray, twist: np.ndarray) -> np.ndarray:
-    """Return points (N, 2) in the frame of the robot at the time of the first reading [m]. Each
-    point is given in the frame of the robot at its own time. `times` are those after the first
-    reading [s]. The twist is (vx, vy, omega) in the frame of the robot."""
+    """Return points (N, 2) in the frame of the robot at the time of the first reading [m].
+
+    Each point is given in the frame of the robot at its own time. `times` are those after the first
+    reading [s]. The twist is (vx, vy, omega) in the frame of the robot.
+    """
     turn = twist[2] * times
     # The direction of motion is that in the middle of the time, as everywhere else.
     cos, sin = np.cos(0.5 * turn), np.sin(0.5 * turn)
@@ -40,10 +42,12 @@ def undistort_points(points: np.ndarray, times: np.ndarray, twist: np.ndarray) -
 def undistort_scan(
     scan: Scan, sensor: Beams, sweep: Sweep, twist: np.ndarray, place: np.ndarray
 ) -> Scan:
-    """Return a scan as one from the pose of the lidar at the time of the first reading. Each end
-    goes to the beam whose direction is nearest by then; of several the nearest one counts, and a
-    beam without any is no measurement. Twist (vx, vy, omega) and `place` of the lidar are in the
-    robot's frame."""
+    """Return a scan as one from the pose of the lidar at the time of the first reading.
+
+    Each end goes to the beam whose direction is nearest by then; of several the nearest one counts,
+    and a beam without any is no measurement. Twist (vx, vy, omega) and `place` of the lidar are in
+    the robot's frame.
+    """
     ranges, is_return = np.asarray(scan.ranges, np.float64), np.asarray(scan.is_return)
     angles = sensor.beam_angles.astype(np.float64)
     ends = place + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)

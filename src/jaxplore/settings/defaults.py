@@ -131,8 +131,10 @@ def setting(
     differs: str | None = None,
 ) -> Any:
     """Make a field of a section with the default and the description of an owner's parameter.
+
     `convert` converts from the unit of the parameter to that of the setting. `differs` is the key
-    of `DIFFERENCES`, if the default is not the owner's."""
+    of `DIFFERENCES`, if the default is not the owner's.
+    """
     own = convert(parameter_default(owner, name))
     # `arguments` finds the settings of an owner by this entry of the schema.
     return Field(

@@ -172,8 +172,10 @@ class DriveSettings(Section):
 
 
 def part_node(entries: Mapping[str, Any]) -> tuple[dict[str, Any], NodeSettings]:
-    """Return the settings entries of a run, and the checked section `node` beside them. One
-    settings file describes a run in simulation and a drive of the robot."""
+    """Return the settings entries of a run, and the checked section `node` beside them.
+
+    One settings file describes a run in simulation and a drive of the robot.
+    """
     run = dict(entries)
     node = {"node": run.pop("node")} if "node" in run else {}
     return run, check_section(DriveSettings, node).node

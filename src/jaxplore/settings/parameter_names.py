@@ -18,7 +18,8 @@ PER_METRE = "progress_weight"
 
 def controller_parameter(owner: str | None, name: str) -> str | None:
     """Return the path of the controller parameter that a setting of an owner sets, see
-    `jaxplore.find_parameter`; None if it sets none, several, or one with another name."""
+    `jaxplore.find_parameter`; None if it sets none, several, or one with another name.
+    """
     if name == "temperature" and owner in {
         each.__qualname__ for each in (explorer, mpcc, Flight, ground_portfolio)
     }:

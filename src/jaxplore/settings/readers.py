@@ -129,8 +129,10 @@ def given_leaves(
 
 
 def list_unread(settings: BaseModel, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that entries give and their run does not read, by dotted name. None,
-    which stands for none, is no value."""
+    """Return the settings that entries give and their run does not read, by dotted name.
+
+    None, which stands for none, is no value.
+    """
     return {
         name: value
         for name, value in given_leaves(type(settings), entries)

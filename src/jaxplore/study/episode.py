@@ -13,7 +13,9 @@ from jaxplore.tasks.registry import files_of
 @dataclasses.dataclass(frozen=True)
 class InputFile:
     """The file of a map, a path or a volume on the user's machine, of a setting of an episode.
-    `content` is a hash of its content, with that of a map's image."""
+
+    `content` is a hash of its content, with that of a map's image.
+    """
 
     setting: str
     path: str
@@ -30,9 +32,11 @@ class InputFile:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EpisodeTask(Task, abc.ABC):
-    """Episodes of one scenario that run together. A variant is an architecture or any other
-    settings. `file` is that of the map, path or volume of the scenario, and `copy` the path of a
-    copy of it on this machine; None without one."""
+    """Episodes of one scenario that run together.
+
+    A variant is an architecture or any other settings. `file` is that of the map, path or volume
+    of the scenario, and `copy` the path of a copy of it on this machine; None without one.
+    """
 
     name: str
     variant: str

@@ -13,7 +13,9 @@ def record_alone(
     experiment: Experiment, time_limit: float | None = None, *, num_trajectories: int = 0
 ) -> Recording:
     """Run one experiment until a limit of the simulated time [s], at most its own number of steps.
-    Each frame holds `num_trajectories` rollouts, for animations."""
+
+    Each frame holds `num_trajectories` rollouts, for animations.
+    """
     steps = _num_steps(experiment, time_limit)
     recording = record_run(
         experiment.controller,
@@ -26,10 +28,12 @@ def record_alone(
 
 
 class SideBySide:
-    """Runner of batches of experiments by `jax.vmap`, with a fixed batch size. It remembers which
-    arrays have differed between the experiments of a kind and stacks them in all later batches, so
-    that these run the same program. A smaller batch is filled up with copies of its last
-    experiment: another size would need another program, with other rounding."""
+    """Runner of batches of experiments by `jax.vmap`, with a fixed batch size.
+
+    It remembers which arrays have differed between the experiments of a kind and stacks them in all
+    later batches, so that these run the same program. A smaller batch is filled up with copies of
+    its last experiment: another size would need another program, with other rounding.
+    """
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -44,8 +48,10 @@ class SideBySide:
         with_frames: bool = False,
     ) -> list[Recording]:
         """Run experiments, at most a batch, that differ in keys and in the values of arrays only.
+
         `kind` names those that share a compiled program, such as the scenario. `time_limit` is
-        simulated time [s]."""
+        simulated time [s].
+        """
         padded = [*experiments, *[experiments[-1]] * (self._size - len(experiments))]
         steps = max(_num_steps(each, time_limit) for each in padded)
         recordings, self._differs[kind] = record_experiments(

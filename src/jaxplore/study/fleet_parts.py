@@ -35,8 +35,10 @@ class _Hub:
         self._left: dict[int, int] = {}
 
     async def meet(self, worker: int, turn: int, arrays: list[np.ndarray]) -> list[Any]:
-        """Return the arrays of all workers, when all have come. `turn` is the number of the
-        meeting, which each worker counts."""
+        """Return the arrays of all workers, when all have come.
+
+        `turn` is the number of the meeting, which each worker counts.
+        """
         told = self._told.setdefault(turn, {})
         complete = self._complete.setdefault(turn, asyncio.Event())
         told[worker] = arrays

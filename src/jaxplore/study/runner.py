@@ -53,9 +53,11 @@ class Runner:
         return self._workers == 1 and not self._is_on_ray
 
     def run[T: Task](self, tasks: Sequence[T], on_result: Callable[[T, Any], None]) -> None:
-        """Run tasks, and return when all have a result. An exception ends all workers. `on_result`
-        is called in this process with each task and its result, as soon as there is one. Workers
-        that do not start raise a `ChildProcessError`."""
+        """Run tasks, and return when all have a result.
+
+        An exception ends all workers. `on_result` is called in this process with each task and its
+        result, as soon as there is one. Workers that do not start raise a `ChildProcessError`.
+        """
         if self._is_closed:
             raise ValueError("runner is closed; accepted: a new one")
         if not tasks:

@@ -9,8 +9,10 @@ LAST = 2**32 - 1
 
 
 def check_number_of_seeds(name: str, seeds: Sequence[int]) -> None:
-    """Check that there are at most `MOST_SEEDS` seeds, without looking at each of them. The last
-    one of a range must fit into 32 bits. The name is that of the argument."""
+    """Check that there are at most `MOST_SEEDS` seeds, without looking at each of them.
+
+    The last one of a range must fit into 32 bits. The name is that of the argument.
+    """
     # `len` of a range of more than 2**63 numbers is an error.
     number = seeds[-1] - seeds[0] + 1 if isinstance(seeds, range) and seeds else len(seeds)
     if number > MOST_SEEDS:

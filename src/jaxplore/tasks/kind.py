@@ -124,8 +124,10 @@ class Kind:
     on_maps: OnMaps | None = None
 
     def make_settings(self, entries: dict[str, Any]) -> RunSettings:
-        """Check entries, and fill in defaults. The `ValueError` names an unknown name or a value
-        that is not accepted."""
+        """Check entries, and fill in defaults.
+
+        The `ValueError` names an unknown name or a value that is not accepted.
+        """
         return check_section(self.settings, entries) if self.check is None else self.check(entries)
 
     def read_entries(self, file: str, *, is_trusted: bool = False) -> dict[str, Any]:

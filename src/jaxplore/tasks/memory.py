@@ -62,8 +62,10 @@ class Part(NamedTuple):
 def check_needs(
     parts: tuple[Part, ...], limit: float, *, num_runs: int = 1, batch: int = 1
 ) -> None:
-    """Check that `num_runs` processes, with `batch` runs each, need at most `limit` bytes. The
-    `ValueError` names the greatest part and its settings."""
+    """Check that `num_runs` processes, with `batch` runs each, need at most `limit` bytes.
+
+    The `ValueError` names the greatest part and its settings.
+    """
     # The runs of a batch share their program.
     sizes = {
         part: num_runs * part.size * (1 if part.name == _PROGRAMS else batch) for part in parts
@@ -100,8 +102,10 @@ def estimate_rollouts(
     hindrances: int = 0,
 ) -> Part:
     """Estimate the memory of rollouts, of a number of members and among a number of obstacles.
+
     `section` names the settings of the controller, and `progress` counts the controls beside those
-    of the robot."""
+    of the robot.
+    """
     samples, controls = given.num_samples, CONTROLS.get(robot.model, _MOST_CONTROLS) + progress
     # The scan over time keeps one step of the states, and all steps of the controls.
     each = 8.0 * samples * given.horizon * controls + 200.0 * samples * (1.0 + hindrances)

@@ -12,10 +12,12 @@ _UNLIMITED = 2**60
 
 
 def default_limit(root: Path = _ROOT) -> float:
-    """Return the memory that runs may take by default [bytes]. It is `SHARE` of the least of the
-    memory that Linux says is available, and of what is left of the limit of the control group
-    (version 1 or 2) and of each that holds it; elsewhere of the memory of the machine, infinite if
-    unknown. Tests give another `root` of the file system."""
+    """Return the memory that runs may take by default [bytes].
+
+    It is `SHARE` of the least of the memory that Linux says is available, and of what is left of
+    the limit of the control group (version 1 or 2) and of each that holds it; elsewhere of the
+    memory of the machine, infinite if unknown. Tests give another `root` of the file system.
+    """
     return SHARE * min([_available(root), *_free_in_groups(root)])
 
 

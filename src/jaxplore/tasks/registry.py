@@ -95,8 +95,10 @@ def _list_unknown(
 
 
 def keep_read[Name](runs: Mapping[Name, Entries]) -> dict[Name, dict[str, Any]]:
-    """Return entries of runs that are compared, each without the settings that it does not read. A
-    setting that none of the runs that have it reads raises a `ValueError`."""
+    """Return entries of runs that are compared, each without the settings that it does not read.
+
+    A setting that none of the runs that have it reads raises a `ValueError`.
+    """
     given = {name: _with_selector(entries) for name, entries in runs.items()}
     checked = {name: _check(find_kind(each), each) for name, each in given.items()}
     unread = {name: list_unread(each, given[name]) for name, each in checked.items()}
@@ -143,15 +145,19 @@ def places() -> dict[str, Entries]:
 
 
 def words() -> dict[str, Entries]:
-    """Return the names that stand for a kind or a part of it, and their default entries. They are
-    copies: the options of a command change entries where they are."""
+    """Return the names that stand for a kind or a part of it, and their default entries.
+
+    They are copies: the options of a command change entries where they are.
+    """
     known = {name: entries for kind in KINDS.values() for name, entries in kind.words.items()}
     return copy.deepcopy(known)
 
 
 def place_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
-    """Return the entries of a run at a place, given by its name or its file. A file that names code
-    must be trusted."""
+    """Return the entries of a run at a place, given by its name or its file.
+
+    A file that names code must be trusted.
+    """
     known = places()
     name = match_spelling(name, tuple(known))
     if name in known:
@@ -165,8 +171,10 @@ def place_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
 
 def at_place(entries: Entries, name: str, *, is_trusted: bool = False) -> dict[str, Any]:
     """Return the entries of a settings file for a place that the user names; see `place_entries`.
+
     They override those of a scenario, but not the place. A word stands for what they name, or for
-    its default."""
+    its default.
+    """
     known = words()
     if name in known:
         return {**known[name], **entries}
@@ -176,8 +184,10 @@ def at_place(entries: Entries, name: str, *, is_trusted: bool = False) -> dict[s
 
 
 def folder_name(entries: Entries) -> str:
-    """Return a name for folders from the place of a run. A file that is just called `map` is named
-    by its folder, as in a comparison on maps."""
+    """Return a name for folders from the place of a run.
+
+    A file that is just called `map` is named by its folder, as in a comparison on maps.
+    """
     kind = find_kind(entries)
     place = entries.get(kind.selector)
     words = [name for name, given in kind.places.items() if given == {kind.selector: place}]

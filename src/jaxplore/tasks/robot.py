@@ -39,8 +39,11 @@ from jaxplore.tasks.user_code import import_robot
 
 
 def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:
-    """Build the model of the robot. `integrator` is that of a car or of a robot on driven wheels;
-    the model's default when None. A model of the user's own has its own."""
+    """Build the model of the robot.
+
+    `integrator` is that of a car or of a robot on driven wheels; the model's default when None. A
+    model of the user's own has its own.
+    """
     if is_own(given.model):
         return import_robot(given.model)
     if given.model == "quadrotor":
@@ -110,8 +113,10 @@ _RULES: dict[str, Callable[..., HorizonRule]] = {
 
 
 def with_adaptive_horizon(controller: Controller, given: AdaptiveHorizonSettings) -> Controller:
-    """Return a controller that chooses its horizon in each step, if settings name a rule. The
-    controller must be one MPPI, with a horizon of at least `min_horizon` steps."""
+    """Return a controller that chooses its horizon in each step, if settings name a rule.
+
+    The controller must be one MPPI, with a horizon of at least `min_horizon` steps.
+    """
     if given.rule is None:
         return controller
     if not isinstance(controller, MPPI):

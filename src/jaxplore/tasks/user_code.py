@@ -23,8 +23,10 @@ _ROBOT = "a Dynamics, a class or an instance"
 
 
 def import_robot(name: str) -> Dynamics:
-    """Return the robot that the setting `robot.model` names. `name` is MODULE:NAME of a
-    `jaxplore.Dynamics`, a class or an instance."""
+    """Return the robot that the setting `robot.model` names.
+
+    `name` is MODULE:NAME of a `jaxplore.Dynamics`, a class or an instance.
+    """
     found = _instantiate("robot.model", name, Dynamics)
     if not isinstance(found, Dynamics):
         raise ValueError(f"robot.model is {name}, {describe(found)}; accepted: {_ROBOT}")
@@ -32,8 +34,10 @@ def import_robot(name: str) -> Dynamics:
 
 
 def import_rule(name: str) -> TargetRule | None:
-    """Return the rule that the setting `architecture` names; None if it names a function. `name` is
-    MODULE:NAME of a function or of a `jaxplore.planning.TargetRule`, class or instance."""
+    """Return the rule that the setting `architecture` names; None if it names a function.
+
+    `name` is MODULE:NAME of a function or of a `jaxplore.planning.TargetRule`, class or instance.
+    """
     found = _instantiate("architecture", name, TargetRule)
     if isinstance(found, TargetRule):
         return found
@@ -43,8 +47,10 @@ def import_rule(name: str) -> TargetRule | None:
 
 
 def import_controller(name: str, scenario: Scenario) -> Controller:
-    """Return the controller that the function makes which the setting `architecture` names. A
-    function that fails, or that returns something else, raises a ValueError."""
+    """Return the controller that the function makes which the setting `architecture` names.
+
+    A function that fails, or that returns something else, raises a ValueError.
+    """
     controller = _call("architecture", name, _find("architecture", name), scenario)
     if not isinstance(controller, Controller):
         raise ValueError(

@@ -9,8 +9,10 @@ from jaxplore.topics.messages import EXTRA
 
 
 class Channels:
-    """Topics of a context of Foxglove's SDK: of a file, or of a server for live views. `began` is
-    when the run started [s since the epoch]; 0 for simulated time."""
+    """Topics of a context of Foxglove's SDK: of a file, or of a server for live views.
+
+    `began` is when the run started [s since the epoch]; 0 for simulated time.
+    """
 
     def __init__(self, context: Any, began: float = 0.0) -> None:
         self._sdk = import_optional("foxglove", EXTRA)
@@ -24,16 +26,20 @@ class Channels:
 
     def log(self, topic: str, message: Any, time: float) -> None:
         """Write a message of one of Foxglove's schemas; the time is since the start of the run [s].
-        All messages of a topic are of one schema."""
+
+        All messages of a topic are of one schema.
+        """
         if topic not in self._channels:
             make = getattr(self._typed, f"{type(message).__name__}Channel")
             self._channels[topic] = make(topic, context=self._context)
         self._channels[topic].log(message, log_time=self.stamp(time))
 
     def log_values(self, topic: str, values: Mapping[str, float | str], time: float) -> None:
-        """Write numbers and texts by name, as JSON; the time is since the start of the run [s]. All
-        messages of a topic have the same names. JSON has no infinity and no NaN: such a value is
-        left out of its message."""
+        """Write numbers and texts by name, as JSON; the time is since the start of the run [s].
+
+        All messages of a topic have the same names. JSON has no infinity and no NaN: such a value
+        is left out of its message.
+        """
         kinds = {
             name: {"type": "string" if isinstance(each, str) else "number"}
             for name, each in values.items()
@@ -46,8 +52,10 @@ class Channels:
         self._log_json(topic, known, kinds, time)
 
     def log_lists(self, topic: str, values: Mapping[str, Sequence[float]], time: float) -> None:
-        """Write lists of numbers by name, as JSON; a number that is not finite is null. The time is
-        since the start of the run [s]. All messages of a topic have the same names."""
+        """Write lists of numbers by name, as JSON; a number that is not finite is null.
+
+        The time is since the start of the run [s]. All messages of a topic have the same names.
+        """
         kind = {"type": "array", "items": {"type": "number"}}
         known = {
             name: [each if math.isfinite(each) else None for each in some]

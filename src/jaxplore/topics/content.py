@@ -46,8 +46,10 @@ class Content:
         """Write what stays the same during the run; nothing by default."""
 
     def write_steps(self, records: Any, times: np.ndarray, text: str | None = None) -> None:
-        """Write the records, a row for each step, with the time at the end of each step [s]. `text`
-        is the progress of the task in words."""
+        """Write the records, a row for each step, with the time at the end of each step [s].
+
+        `text` is the progress of the task in words.
+        """
         if not len(times):
             return
         fields = {name: rows for name, rows in records._asdict().items() if rows is not None}
@@ -93,8 +95,10 @@ class Content:
         self.channels.log(topic, message, time)
 
     def log_levels(self, topic: str, level: np.ndarray, time: float, height: float) -> None:
-        """Write probabilities in 256 levels as a grid, coloured as in the animation. `level` (H, W)
-        is that of the cells of the run's map; the grid is drawn at `height` [m]."""
+        """Write probabilities in 256 levels as a grid, coloured as in the animation.
+
+        `level` (H, W) is that of the cells of the run's map; the grid is drawn at `height` [m].
+        """
         run, colours = self.recording, belief_colours()[level]
         values = {
             "probability": level,
@@ -111,7 +115,9 @@ class Content:
         self, time: float, position: np.ndarray, heading: float, z: float, robot: str | None = None
     ) -> None:
         """Write the pose of the robot [m, m, rad], and the transform from its frame to the world's.
-        Where there are several robots, the topic and the frame are under the name of the robot."""
+
+        Where there are several robots, the topic and the frame are under the name of the robot.
+        """
         topic, frame = ("/pose", BASE) if robot is None else (f"/{robot}/pose", f"{robot}/{BASE}")
         x, y = np.asarray(position, np.float64).tolist()
         yaw = heading if np.isfinite(heading) else 0.0
@@ -120,9 +126,11 @@ class Content:
         self.log(topic, messages.pose_in_frame(stamp, MAP, x, y, yaw, z=z), time)
 
     def log_plan(self, frame: Any, **others: tuple[np.ndarray, Colour]) -> None:
-        """Write the plan and some rollouts, with what each of them weighs and costs. Rollouts of
-        great weight have another colour. `others` are further lines beside the plan, with their
-        colours."""
+        """Write the plan and some rollouts, with what each of them weighs and costs.
+
+        Rollouts of great weight have another colour. `others` are further lines beside the plan,
+        with their colours.
+        """
         stamp, samples = self.channels.stamp(frame.time), frame.samples
         lines = {**others, "plan": (frame.plan, PLAN)}
         entities: dict[str, Any] = {

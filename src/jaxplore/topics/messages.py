@@ -72,9 +72,11 @@ def grid(
     *,
     height: float = 0.0,
 ) -> Any:
-    """Return a `Grid` with one or several values (H, W) per cell, of type uint8 or float32. Row 0
-    is at the origin, the pose (x, y, yaw) of the outer corner of cell (0, 0) in the frame. If the
-    values are called red, green, blue and alpha, Foxglove draws the grid in these colours."""
+    """Return a `Grid` with one or several values (H, W) per cell, of type uint8 or float32.
+
+    Row 0 is at the origin, the pose (x, y, yaw) of the outer corner of cell (0, 0) in the frame. If
+    the values are called red, green, blue and alpha, Foxglove draws the grid in these colours.
+    """
     sdk = _sdk()
     packed = np.dtype([(name, each.dtype) for name, each in values.items()])
     shape = next(iter(values.values())).shape
@@ -104,8 +106,10 @@ def grid(
 
 
 def even_angles(bearings: np.ndarray) -> tuple[float, float] | None:
-    """Return the first and the last angle of a fan of beams; None if its angles are not even. The
-    `bearings` (B,) may be in any turn, and are NaN where they are not known."""
+    """Return the first and the last angle of a fan of beams; None if its angles are not even.
+
+    The `bearings` (B,) may be in any turn, and are NaN where they are not known.
+    """
     index = np.flatnonzero(np.isfinite(bearings))
     if len(index) < 2:
         return None
@@ -130,8 +134,10 @@ def laser_scan(stamp: int, frame: str, angles: tuple[float, float], ranges: np.n
 
 
 def point_cloud(stamp: int, frame: str, points: np.ndarray) -> Any:
-    """Return a `PointCloud` of points (N, 2) on the ground, or (N, 3). Its points are in single
-    precision, so far from the origin they are relative to its pose."""
+    """Return a `PointCloud` of points (N, 2) on the ground, or (N, 3).
+
+    Its points are in single precision, so far from the origin they are relative to its pose.
+    """
     sdk = _sdk()
     place = Datum.near(*points[0, :2].tolist()) if len(points) else ORIGIN
     kind = sdk.PackedElementFieldNumericType.Float32
@@ -159,9 +165,11 @@ def colour(levels: Colour) -> Any:
 def line(
     points: np.ndarray, levels: Colour, width: float, *, closed: bool = False, z: float = 0.0
 ) -> Any:
-    """Return a `LinePrimitive` through points (N, 2) at height z, or through points (N, 3). Points
-    that are not finite are left out. The width is in pixels of the screen. A closed line joins the
-    last point to the first."""
+    """Return a `LinePrimitive` through points (N, 2) at height z, or through points (N, 3).
+
+    Points that are not finite are left out. The width is in pixels of the screen. A closed line
+    joins the last point to the first.
+    """
     sdk = _sdk()
     kinds = sdk.LinePrimitiveLineType
     known = points[np.isfinite(points).all(axis=-1)].astype(np.float64)

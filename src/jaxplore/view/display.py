@@ -42,7 +42,9 @@ HEIGHT = 190
 
 class RolloutColours:
     """The choice of what colours the rollouts, and a legend with the range of the costs.
-    `on_change` is called when a page has chosen something else."""
+
+    `on_change` is called when a page has chosen something else.
+    """
 
     def __init__(self, server: "viser.ViserServer", on_change: Callable[[], None]) -> None:
         gui = server.gui
@@ -111,9 +113,11 @@ def _css(colour: Colour) -> str:
 
 
 def weight_colours(weights: np.ndarray) -> np.ndarray:
-    """Return the colours (S, 3) of rollouts by their weights (S,), of which NaN counts as 0. Below
-    a share of the greatest weight they are faint. From there on the colour follows the weight, up
-    to strong."""
+    """Return the colours (S, 3) of rollouts by their weights (S,), of which NaN counts as 0.
+
+    Below a share of the greatest weight they are faint. From there on the colour follows the
+    weight, up to strong.
+    """
     known = np.nan_to_num(weights)
     greatest = max(float(known.max(initial=0.0)), 1e-30)
     share = np.clip(known / greatest, 0.0, 1.0)
@@ -170,9 +174,11 @@ class Curves:
 
 
 class Display:
-    """The page of a view. The first tab of its panel tells the time and the progress; `run_tab` is
-    the place for buttons. The given tabs follow. The last tab shows and hides layers. The curves
-    stand below all tabs."""
+    """The page of a view.
+
+    The first tab of its panel tells the time and the progress; `run_tab` is the place for buttons.
+    The given tabs follow. The last tab shows and hides layers. The curves stand below all tabs.
+    """
 
     def __init__(self, server: "viser.ViserServer", *tabs: str) -> None:
         gui = server.gui

@@ -19,8 +19,10 @@ LONGEST_NAME = 60
 
 
 class Plot(NamedTuple):
-    """Curves over time in one figure; the title tells the unit. Each of the `rows` (N, 1 + K) has
-    the time [s] and the value of each curve."""
+    """Curves over time in one figure; the title tells the unit.
+
+    Each of the `rows` (N, 1 + K) has the time [s] and the value of each curve.
+    """
 
     title: str
     names: tuple[str, ...]
@@ -139,6 +141,8 @@ def _none_of(records: Any) -> Any:
 
 
 def plain(name: str) -> str:
-    """Return a name without characters that a page could take for markup. Names of costs may come
-    from a file that nobody has looked at."""
+    """Return a name without characters that a page could take for markup.
+
+    Names of costs may come from a file that nobody has looked at.
+    """
     return re.sub(r"[^\w .,:/()+*%^\[\]-]", "?", name)[:LONGEST_NAME]

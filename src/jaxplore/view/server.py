@@ -19,9 +19,11 @@ LARGEST_PORT = 65535
 
 
 def open_server(host: str = HOST, port: int = 0, *, label: str) -> "viser.ViserServer":
-    """Start a server; port 0 takes a free one, and `label` is the title of the page's panel. Pages
-    of other web sites, which run in the same browser, are turned away. No page can ask the server
-    to publish itself through viser's relay."""
+    """Start a server; port 0 takes a free one, and `label` is the title of the page's panel.
+
+    Pages of other web sites, which run in the same browser, are turned away. No page can ask the
+    server to publish itself through viser's relay.
+    """
     package = import_optional("viser", "view")
     number = _checks.whole_number("port", port, at_least=0)
     if number > LARGEST_PORT:
@@ -98,8 +100,11 @@ def _check_address(host: str, port: int) -> None:
 
 
 class _NoTracebacks(logging.Filter):
-    """Leaves out what viser could not make of what came over a connection. Anyone who reaches the
-    port can send bytes that are none of its messages. Errors of our own callbacks are kept."""
+    """Leaves out what viser could not make of what came over a connection.
+
+    Anyone who reaches the port can send bytes that are none of its messages. Errors of our own
+    callbacks are kept.
+    """
 
     def filter(self, record: logging.LogRecord) -> bool:
         modules, trace = [], record.exc_info[2] if record.exc_info else None
@@ -127,8 +132,10 @@ def _refuse_to_share(_: Any, verbose: bool = True) -> None:
 
 
 def _turn_away_other_sites(server: Any) -> None:
-    """Close connections that a page of another web site opened. Browsers let every page open a
-    WebSocket to this machine, and name the page's site."""
+    """Close connections that a page of another web site opened.
+
+    Browsers let every page open a WebSocket to this machine, and name the page's site.
+    """
     from websockets.exceptions import ConnectionClosed
 
     connections = server._websock_server

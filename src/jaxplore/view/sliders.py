@@ -45,9 +45,11 @@ class Range(NamedTuple):
 
 
 class Knob(NamedTuple):
-    """A slider of a parameter, whose path is one of `get_parameters`. `element` is the index of the
-    element that it sets; None for a parameter that is one number. The group is the cost term or the
-    part of the controller, and the label the name within it."""
+    """A slider of a parameter, whose path is one of `get_parameters`.
+
+    `element` is the index of the element that it sets; None for a parameter that is one number. The
+    group is the cost term or the part of the controller, and the label the name within it.
+    """
 
     path: str
     element: int | None
@@ -134,8 +136,10 @@ class Sliders:
             self._handles.append(handle)
 
     def values(self) -> dict[str, Any]:
-        """Return the parameters that were moved, by path. Only the values of the page are read, so
-        that a call costs little."""
+        """Return the parameters that were moved, by path.
+
+        Only the values of the page are read, so that a call costs little.
+        """
         values: dict[str, np.ndarray] = {}
         for knob, handle in zip(self.knobs, self._handles, strict=True):
             low, high, _, initial = knob.range

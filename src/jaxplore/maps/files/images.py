@@ -34,8 +34,10 @@ _MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16")
 
 
 class Greys(NamedTuple):
-    """Grey levels of an image, top row first. The brightness of a pixel is `level / full`. `opaque`
-    is None for an image without alpha."""
+    """Grey levels of an image, top row first.
+
+    The brightness of a pixel is `level / full`. `opaque` is None for an image without alpha.
+    """
 
     level: NDArray[np.integer]
     full: int
@@ -51,8 +53,10 @@ class Greys(NamedTuple):
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Return the rows and columns of an image file, without reading its pixels. It raises as
-    `read_greys`."""
+    """Return the rows and columns of an image file, without reading its pixels.
+
+    It raises as `read_greys`.
+    """
     return _open_image(path, lambda image: (image.height, image.width))
 
 
@@ -104,8 +108,10 @@ def _open_image[T](path: Path, read: Callable[["ImageFile.ImageFile"], T]) -> T:
 
 
 def _check_header(file: BinaryIO) -> None:
-    """Refuse the long header of a portable map, which Pillow reads byte by byte. A million bytes
-    take it a second. They may be one comment."""
+    """Refuse the long header of a portable map, which Pillow reads byte by byte.
+
+    A million bytes take it a second. They may be one comment.
+    """
     head = file.read(HEADER_LIMIT)
     file.seek(0)
     # The kind, the columns and the rows, and but for bitmaps the greatest value.

@@ -74,7 +74,9 @@ are rare, and corridors along y or z are not."""
 
 def check_header(file: BinaryIO, kind: str) -> None:
     """Check the numbers in the header of a regular file, and go back to the file's beginning.
-    `kind` is the ending of its name, without the dot. Kinds without a check here all pass."""
+
+    `kind` is the ending of its name, without the dot. Kinds without a check here all pass.
+    """
     header, size = file.read(_HEADER), file.seek(0, 2)
     file.seek(0)
     begins = header.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -145,8 +147,10 @@ class Geometry(NamedTuple):
 
 
 def read_geometry(file: BinaryIO, kind: str, memory: float) -> Geometry:
-    """Read a mesh or a point cloud from a regular file at its beginning; `kind` is in `KINDS`. The
-    reader may take `memory` [bytes]; at least `LEAST` is given."""
+    """Read a mesh or a point cloud from a regular file at its beginning; `kind` is in `KINDS`.
+
+    The reader may take `memory` [bytes]; at least `LEAST` is given.
+    """
     most = int(max(memory, LEAST))
     # Each thread of a numerical library takes address space.
     alone = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -188,9 +192,11 @@ def read_geometry(file: BinaryIO, kind: str, memory: float) -> Geometry:
 def place(
     geometry: Geometry, scale: float | None, up: str | None, name: str
 ) -> NDArray[np.float64]:
-    """Return corners or points (N, 3) in metres with z up, and warn of what was guessed. `scale` is
-    metres in a unit of the geometry, and `up` its up axis. Where one is None, what the file says
-    counts, or else a guess. Warnings name the file by `name`."""
+    """Return corners or points (N, 3) in metres with z up, and warn of what was guessed.
+
+    `scale` is metres in a unit of the geometry, and `up` its up axis. Where one is None, what the
+    file says counts, or else a guess. Warnings name the file by `name`.
+    """
     extent = np.ptp(geometry.corners, axis=0)
     said = geometry.unit
     factor = said if scale is None and said is not None else scale

@@ -22,7 +22,9 @@ CHUNK = 1_000_000
 
 def read(data: bytes, kind: str) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Return corners or points (N, 3), the corners of triangles (M, 3), and what the file says.
-    What it says is `up`, the axis x, y or z, and `unit` [m], where the format has them."""
+
+    What it says is `up`, the axis x, y or z, and `unit` [m], where the format has them.
+    """
     if kind == "pcd":
         from pypcd4.pypcd4 import PointCloud
 
@@ -62,8 +64,10 @@ def read(data: bytes, kind: str) -> tuple[np.ndarray, np.ndarray, dict[str, Any]
 
 
 def num_open(faces: np.ndarray, size: int) -> int:
-    """Return the number of edges that belong to an odd number of faces. Where bodies touch, an edge
-    belongs to four faces: that is no hole."""
+    """Return the number of edges that belong to an odd number of faces.
+
+    Where bodies touch, an edge belongs to four faces: that is no hole.
+    """
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64), axis=1)
     _, counts = np.unique(edges[:, 0] * size + edges[:, 1], return_counts=True)
     return int(np.count_nonzero(counts % 2))

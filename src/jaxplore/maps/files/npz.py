@@ -37,9 +37,11 @@ def array_names(data: bytes) -> list[str]:
 def read_arrays(
     data: bytes, check: CheckHeader, names: Collection[str] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a file by name; nothing is unpickled. With `names` only those of them that
-    are there are read; None reads all. `check` is called before memory is allocated for the size
-    that an array declares."""
+    """Read the arrays of a file by name; nothing is unpickled.
+
+    With `names` only those of them that are there are read; None reads all. `check` is called
+    before memory is allocated for the size that an array declares.
+    """
     with _open(data) as archive:
         return {
             name: _array(archive, member, check)
@@ -52,9 +54,11 @@ def read_arrays(
 def read_array(
     file: IO[bytes], name: str, check: CheckHeader, most: int | None = None
 ) -> NDArray[Any]:
-    """Read an array from the file of one, `.npy`, at its beginning; nothing is unpickled. `check`
-    is called, with `name`, before memory is allocated for the size that the array declares. `most`
-    is the greatest size of the file [bytes], where it is known."""
+    """Read an array from the file of one, `.npy`, at its beginning; nothing is unpickled.
+
+    `check` is called, with `name`, before memory is allocated for the size that the array declares.
+    `most` is the greatest size of the file [bytes], where it is known.
+    """
     try:
         # Later versions are for names of fields; a header of theirs may have 4 GB.
         if np.lib.format.read_magic(file) != (1, 0):

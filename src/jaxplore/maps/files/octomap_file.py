@@ -32,8 +32,10 @@ _NODES = {"OcTree": 5, "ColorOcTree": 8}
 
 
 class Leaves(NamedTuple):
-    """Leaves of one size: their corners (x, y, z) and their side [voxels]. Those that are not free
-    are occupied."""
+    """Leaves of one size: their corners (x, y, z) and their side [voxels].
+
+    Those that are not free are occupied.
+    """
 
     corners: NDArray[np.int32]
     size: int
@@ -159,9 +161,11 @@ class _Full:
 
 def _levels(nodes: _Binary | _Full) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int32], int]]:
     """Yield the nodes (N,) of each level of the tree, their corners (N, 3) and their size [voxels].
+
     Depth first, the first child of a node follows it, and each other one follows the last node
     below its elder sister. With c(i) children below node i, that is the first j >= i at which
-    sum_{k <= j} (c(k) - 1) is less than before i."""
+    sum_{k <= j} (c(k) - 1) is less than before i.
+    """
     sums = np.cumsum(nodes.counts().astype(np.int32) - 1, dtype=np.int64)
     number = int(np.argmax(sums < 0)) + 1 if len(sums) else 0
     if not number or sums[number - 1] >= 0:

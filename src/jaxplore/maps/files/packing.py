@@ -14,8 +14,10 @@ PACKED = "map.yaml"
 
 
 def find_image(path: str | os.PathLike[str]) -> Path | None:
-    """Return the path of the image that a ROS map's YAML names, or None if there is none. A file
-    that is not a YAML mapping raises a `ValueError`."""
+    """Return the path of the image that a ROS map's YAML names, or None if there is none.
+
+    A file that is not a YAML mapping raises a `ValueError`.
+    """
     entry = read_yaml(Path(path)).get("image")
     if not isinstance(entry, str) or not entry or "\0" in entry:
         return None
@@ -24,8 +26,10 @@ def find_image(path: str | os.PathLike[str]) -> Path | None:
 
 
 def read_files(path: str | os.PathLike[str]) -> tuple[bytes, bytes | None]:
-    """Read the YAML file of a ROS map or a world, and its image; None without one. A file that is
-    not a YAML mapping, or that cannot be read, raises a `ValueError`."""
+    """Read the YAML file of a ROS map or a world, and its image; None without one.
+
+    A file that is not a YAML mapping, or that cannot be read, raises a `ValueError`.
+    """
     image = find_image(path)
     return (
         read_bytes(Path(path), "a map's YAML", YAML_LIMIT),
@@ -35,8 +39,10 @@ def read_files(path: str | os.PathLike[str]) -> tuple[bytes, bytes | None]:
 
 def pack_map(path: str | os.PathLike[str]) -> dict[str, bytes]:
     """Return the content of the files of a ROS map or a world, by file names valid in any folder.
+
     The YAML file becomes `map.yaml`, and refers to its image by the new name. It raises as
-    `read_files`."""
+    `read_files`.
+    """
     entries, (data, image) = read_yaml(Path(path)), read_files(path)
     if image is None:
         return {PACKED: data}

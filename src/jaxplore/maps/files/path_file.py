@@ -85,8 +85,10 @@ def read_path(
 
 
 def read_path_file(path: str | PathLike[str]) -> bytes:
-    """Return the content of a path file, to send it to another machine. A file that cannot be read
-    or is too large raises a `ValueError`."""
+    """Return the content of a path file, to send it to another machine.
+
+    A file that cannot be read or is too large raises a `ValueError`.
+    """
     return read_bytes(FilePath(path), "a path's", CSV_LIMIT)
 
 

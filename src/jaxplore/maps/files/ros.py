@@ -116,8 +116,10 @@ def read_map(
 
 
 def map_size(path: str | os.PathLike[str]) -> tuple[int, int, float]:
-    """Return the rows, the columns and the resolution [m] of a map, without reading its cells. It
-    raises as `read_map`, but does not find what is wrong with the pixels."""
+    """Return the rows, the columns and the resolution [m] of a map, without reading its cells.
+
+    It raises as `read_map`, but does not find what is wrong with the pixels.
+    """
     settings = _settings(Path(path))
     return *image_size(settings.image), settings.resolution
 
@@ -318,8 +320,10 @@ def _alpha_doubt(opaque: NDArray[np.bool_], probability: NDArray[np.float32]) ->
 def _thresholds_doubt(
     greys: Greys, table: NDArray[np.float32], settings: _Settings, unknown: int | None
 ) -> str:
-    """Return in words which cells of a trinary map lie within a grey level of a threshold. Left out
-    are those of a grey that is read as it is meant: `unknown`, or that of map savers."""
+    """Return in words which cells of a trinary map lie within a grey level of a threshold.
+
+    Left out are those of a grey that is read as it is meant: `unknown`, or that of map savers.
+    """
     counts = np.bincount(greys.level.ravel(), minlength=greys.full + 1) / greys.level.size
     grey = np.arange(greys.full + 1) * (255 / greys.full)
     occ = grey if settings.negate else 255 - grey

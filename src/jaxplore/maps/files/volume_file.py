@@ -162,8 +162,10 @@ def open_volume(
     min_points: int = 1,
     memory: float = MEMORY,
 ) -> VolumeFile:
-    """Read the file of a volume as `read_volume` does, and make no voxels yet. It raises as
-    `read_volume`, and for a file that needs more than `memory` [bytes]."""
+    """Read the file of a volume as `read_volume` does, and make no voxels yet.
+
+    It raises as `read_volume`, and for a file that needs more than `memory` [bytes].
+    """
     _kinds.flag("is_open", is_open)
     file = Path(path)
     side = _checks.number("resolution", resolution, above=0.0)

@@ -26,9 +26,11 @@ def wall_cells(resolution: float) -> int:
 
 
 def clearance_cells(radius: float, resolution: float) -> float:
-    """Return the least distance between cell centres at which a disc clears an occupied cell. It is
-    in cells, and includes half a diagonal: the nearest point of a cell may be that much nearer than
-    its centre."""
+    """Return the least distance between cell centres at which a disc clears an occupied cell.
+
+    It is in cells, and includes half a diagonal: the nearest point of a cell may be that much
+    nearer than its centre.
+    """
     return radius / resolution + math.sqrt(0.5)
 
 
@@ -41,8 +43,10 @@ def passage_cells(breadth: float, resolution: float) -> int:
 
 
 def widest_part(free: Mask, radius: float, resolution: float) -> Mask:
-    """Return the cells that a disc can sweep in the largest connected part of the free space. Every
-    passage within them is at least as wide as the disc."""
+    """Return the cells that a disc can sweep in the largest connected part of the free space.
+
+    Every passage within them is at least as wide as the disc.
+    """
     from scipy import ndimage  # slow to import, and few need it
 
     reach = clearance_cells(radius, resolution)

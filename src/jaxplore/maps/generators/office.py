@@ -136,8 +136,10 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
 
 
 def _middle_longest(run: NDArray[np.int_]) -> tuple[int, int]:
-    """Return the row and the last column of a longest run of free cells. `run` is the length (H, W)
-    of the run that ends at each cell."""
+    """Return the row and the last column of a longest run of free cells.
+
+    `run` is the length (H, W) of the run that ends at each cell.
+    """
     from scipy import ndimage  # slow to import, and few need it
 
     longest = run.max(axis=1)

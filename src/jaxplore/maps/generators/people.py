@@ -95,8 +95,10 @@ class _Ways:
         self._graph = sparse.coo_matrix(entries, shape=(size, size)).tocsr()
 
     def draw(self, rng: np.random.Generator, shortest: float) -> list[np.ndarray]:
-        """Return the corners (row, column) of a way between two random cells. The way should be at
-        least `shortest` cells long."""
+        """Return the corners (row, column) of a way between two random cells.
+
+        The way should be at least `shortest` cells long.
+        """
         from scipy.sparse.csgraph import dijkstra
 
         start = int(rng.integers(len(self._cells)))

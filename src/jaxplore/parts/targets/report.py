@@ -173,7 +173,9 @@ class TargetReport(PartReport):
 
 def _last_target_at(seen: np.ndarray, number: int, period: float) -> float | None:
     """Return the time at which the last target was seen [s]; None if some were not, or without any.
+
     The record of step k holds how many of the `number` targets were `seen` (N,) at its beginning,
-    so the time is k control periods [s]."""
+    so the time is k control periods [s].
+    """
     is_all = seen >= number if number else np.zeros(0, bool)
     return int(is_all.argmax()) * period if is_all.any() else None

@@ -41,9 +41,11 @@ def normalise_weights(
     objectives: tuple[str, ...],
     argument: str = "weights",
 ) -> tuple[Float[Array, "N O"], tuple[str, ...]]:
-    """Return the weights (N, O) with rows that add up to 1, and the names of the members. Weights
-    in a mapping go by member and objective, and absent ones are 0. Members whose weights are an
-    array are named "1", "2" ... without `names`. Messages call the weights `argument`."""
+    """Return the weights (N, O) with rows that add up to 1, and the names of the members.
+
+    Weights in a mapping go by member and objective, and absent ones are 0. Members whose weights
+    are an array are named "1", "2" ... without `names`. Messages call the weights `argument`.
+    """
     if isinstance(weights, Mapping):
         if names is not None:
             raise ValueError(f"names is {names!r} beside weights by name; accepted: one of them")

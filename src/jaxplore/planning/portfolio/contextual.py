@@ -22,8 +22,10 @@ class ContextRule(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, situation: Situation, held: Flag) -> Flag:
-        """Return whether the rule holds now. `held` says whether it did in the last step, for a
-        hysteresis."""
+        """Return whether the rule holds now.
+
+        `held` says whether it did in the last step, for a hysteresis.
+        """
 
 
 class Contextual(Fusion):

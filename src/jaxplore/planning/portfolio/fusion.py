@@ -115,8 +115,10 @@ def weighted_mean(candidates: Candidates, votes: Float[Array, " N"]) -> Fused:
 
 
 def select_member(candidates: Candidates, index: Count) -> Fused:
-    """Return the plan of one member as the fused plan. If it is not finite, it is the plan of least
-    cost among those that are."""
+    """Return the plan of one member as the fused plan.
+
+    If it is not finite, it is the plan of least cost among those that are.
+    """
     usable = is_usable(candidates)
     another = least_finite(jnp.where(usable, candidates.costs, jnp.inf))
     # Without a finite cost, any plan that is finite.

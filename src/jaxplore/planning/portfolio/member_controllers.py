@@ -97,8 +97,10 @@ class MemberPlans(NamedTuple):
 
 
 class MemberControllers(eqx.Module):
-    """N MPPI controllers with different weights of the same objectives. See `Portfolio` for the
-    arguments and errors."""
+    """N MPPI controllers with different weights of the same objectives.
+
+    See `Portfolio` for the arguments and errors.
+    """
 
     mppi: MPPI
     shared: tuple[Cost | None, ...]
@@ -202,7 +204,9 @@ class MemberControllers(eqx.Module):
         key: Key,
     ) -> tuple[MemberPlans, Float[Array, " O"]]:
         """Plan with all members; return their plans and the updated spread of the objectives (O,).
-        `spread` is the one before; 0 before the first step. All members share the random key."""
+
+        `spread` is the one before; 0 before the first step. All members share the random key.
+        """
 
         def one(
             index: Array, own: tuple[Cost | None, ...], weights: Array, member_state: MPPIState

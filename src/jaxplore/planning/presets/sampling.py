@@ -52,8 +52,10 @@ def sampling(
     effective_share: ArrayLike,
     importance: ArrayLike = 0.0,
 ) -> Sampling:
-    """Build the parts of MPPI from their names and numbers; see the functions below. `noise_std`
-    (nu,) are the standard deviations of independent controls, see `spread`."""
+    """Build the parts of MPPI from their names and numbers; see the functions below.
+
+    `noise_std` (nu,) are the standard deviations of independent controls, see `spread`.
+    """
     chosen = parameterisation_by_name(parameterisation, horizon)
     factor = spread(chosen, horizon, dt)
     # Checks the standard deviations, which are scaled afterwards.

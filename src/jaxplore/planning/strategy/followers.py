@@ -155,8 +155,9 @@ def follower_for(dynamics: Dynamics) -> Follower:
 
 def _steering(yaw: Scalar, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Convert a wanted velocity (x, y) in the world to the motion of a robot that drives forwards.
-    That is the speed [m/s], the angle to turn by [rad], and the weight of the angle, from 0 to
-    1."""
+
+    That is the speed [m/s], the angle to turn by [rad], and the weight of the angle, from 0 to 1.
+    """
     sin, cos = sin_cos(yaw)
     ahead, aside = cos * x + sin * y, cos * y - sin * x
     squared = x * x + y * y

@@ -46,8 +46,10 @@ class Frontiers(NamedTuple):
     @property
     def positions(self) -> Float[Array, "*nodes D"]:
         """Position of each node: (H, W, 2) of (x, y), (D, H, W, 3) of (x, y, z) in a volume [m].
+
         They are in the coordinates of the belief, as the robot's pose is: relative to the datum of
-        a map that is far from the origin."""
+        a map that is far from the origin.
+        """
         indices = jnp.stack(jnp.indices(self.distance.shape), axis=-1)
         if isinstance(self.roads, VolumeRoads):
             # From layers, rows and columns to x, y and z.

@@ -64,8 +64,11 @@ class GradientReference(eqx.Module):
     def __call__(
         self, field: ScalarField, grid: OccupancyGrid, start: Float[Array, "3"]
     ) -> Float[Array, "T 3"]:
-        """Compute the positions (x, y, z) after 1 ... T steps [m] that ascend a field, such as
-        `LocalFieldSensor(...).field(...).best`, on the map that the robot knows; z is kept."""
+        """Compute the positions (x, y, z) after 1 ...
+
+        T steps [m] that ascend a field, such as `LocalFieldSensor(...).field(...).best`, on the map
+        that the robot knows; z is kept.
+        """
         along_row, along_column = jnp.gradient(field.values, field.frame.resolution)
         slopes = jnp.stack([along_row, along_column])
         flat = FLAT * jnp.abs(field.values).max() / field.frame.resolution
@@ -122,8 +125,10 @@ def _rotate(x: Scalar, y: Scalar, yaw: Scalar) -> Position:
 
 
 def _is_clear(grid: OccupancyGrid, before: Position, after: Position) -> Flag:
-    """Return whether a step of at most half a cell keeps out of cells known to be occupied. A
-    diagonal step passes one of the two cells between. Both must be clear."""
+    """Return whether a step of at most half a cell keeps out of cells known to be occupied.
+
+    A diagonal step passes one of the two cells between. Both must be clear.
+    """
     (row, column), (next_row, next_column) = (
         grid.frame.to_cell(position) for position in (before, after)
     )

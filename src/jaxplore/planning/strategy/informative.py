@@ -189,8 +189,9 @@ class InformativeMPPI(StrategicMPPI):
 
     def _discount(self, field: HeadingField, belief: Belief) -> HeadingField:
         """Discount a field by the time spent at each node; 0 everywhere once all is explored.
-        Without the discount the robot would stay at a maximum whose information scans cannot
-        get."""
+
+        Without the discount the robot would stay at a maximum whose information scans cannot get.
+        """
         rows, columns = jnp.mgrid[: field.values.shape[0], : field.values.shape[1]]
         nodes = field.frame.cell_centre(jnp.stack([rows, columns], axis=-1).reshape(-1, 2))
         share = jax.vmap(belief.pull)(nodes).reshape(rows.shape)

@@ -17,8 +17,10 @@ from jaxplore.costs.tracking import GoalCost
 
 
 class RandomWalkState(NamedTuple):
-    """State of the random walk. `target` is (x, y) [m]. `step` is the number of commands since the
-    first target was drawn."""
+    """State of the random walk.
+
+    `target` is (x, y) [m]. `step` is the number of commands since the first target was drawn.
+    """
 
     mppi: MPPIState
     target: Position

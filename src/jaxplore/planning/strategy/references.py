@@ -46,8 +46,11 @@ class StrategicReference(eqx.Module):
     def __call__(
         self, belief: Belief, potential: ScalarField, start: ReferenceStart
     ) -> Float[Array, "T 3"]:
-        """Compute the positions (x, y, z) after 1 ... T steps [m] by the information of a scan at
-        each place around the robot, `potential` [nat]; the z of `start` is kept."""
+        """Compute the positions (x, y, z) after 1 ...
+
+        T steps [m] by the information of a scan at each place around the robot, `potential` [nat];
+        the z of `start` is kept.
+        """
 
 
 class ClimbingReference(StrategicReference):
@@ -103,9 +106,12 @@ def descend(
     belief: Belief,
     start: ReferenceStart,
 ) -> Float[Array, "T 3"]:
-    """Compute the positions of a robot that descends a cost-to-go field (T, 3) [m]. A field over
-    headings is that of a car, whose positions are those of the motions of its lattice at no more
-    than its speeds. In any other `gradient_reference` ascends the negative cost. z is kept."""
+    """Compute the positions of a robot that descends a cost-to-go field (T, 3) [m].
+
+    A field over headings is that of a car, whose positions are those of the motions of its lattice
+    at no more than its speeds. In any other `gradient_reference` ascends the negative cost. z is
+    kept.
+    """
     traced = _drive(gradient_reference, field, start)
     if traced is not None:
         return traced

@@ -18,9 +18,12 @@ from jaxplore.planning.strategy.follower import Follower
 
 
 class InformativeState(NamedTuple):
-    """State of informative MPPI. `plan` is the last result of the strategic layer; it is
-    meaningless before the first step. `age` is the number of commands since that result. The
-    strategic layer runs again when it reaches the number of commands per strategy period."""
+    """State of informative MPPI.
+
+    `plan` is the last result of the strategic layer; it is meaningless before the first step. `age`
+    is the number of commands since that result. The strategic layer runs again when it reaches the
+    number of commands per strategy period.
+    """
 
     mppi: MPPIState
     plan: Any
@@ -54,8 +57,10 @@ class StrategicMPPI(Controller):
 
     @abc.abstractmethod
     def extend_belief(self, belief: Any, observation: StateVector, plan: Any, age: Scalar) -> Any:
-        """Return the belief that the costs read: the robot's own, with the strategic plan. `age` is
-        the time since the strategic layer made the plan [s]."""
+        """Return the belief that the costs read: the robot's own, with the strategic plan.
+
+        `age` is the time since the strategic layer made the plan [s].
+        """
 
     def place(self, observation: StateVector) -> Float[Array, " D"]:
         """Return the position of the robot on which the strategic layer depends [m]."""
@@ -70,8 +75,10 @@ class StrategicMPPI(Controller):
         return self.follower
 
     def at_period(self, control_period: ArrayLike) -> "StrategicMPPI":
-        """Return a copy of this controller that is called every `control_period` seconds. The
-        strategy period must be a whole number of these periods."""
+        """Return a copy of this controller that is called every `control_period` seconds.
+
+        The strategy period must be a whole number of these periods.
+        """
         mppi = self.mppi.at_period(control_period)
         _check_periods(self.strategy_period, mppi.control_period)
         same: StrategicMPPI = eqx.tree_at(lambda each: each.mppi, self, mppi)

@@ -78,9 +78,12 @@ class TargetProgress(NamedTuple):
         is_on_the_way: Flag,
         spacing: float,
     ) -> "TargetProgress":
-        """Return the progress at the time of a choice. `distance` is the length of the path to each
-        place [m], and `spacing` the distance between places [m]. `is_on_the_way` is whether there
-        is a target, `node`, that the robot has not reached yet."""
+        """Return the progress at the time of a choice.
+
+        `distance` is the length of the path to each place [m], and `spacing` the distance between
+        places [m]. `is_on_the_way` is whether there is a target, `node`, that the robot has not
+        reached yet.
+        """
         here = distance[tuple(node)]
         is_nearer = here < self.best - LEAST
         waiting = jnp.where(is_on_the_way & ~is_nearer, self.waiting + 1, 0)
@@ -100,7 +103,9 @@ class TargetProgress(NamedTuple):
 
     def towards(self, distance: Scalar, is_new: Flag) -> "TargetProgress":
         """Return the progress after a choice of a target; the path to it is `distance` [m] long.
-        `is_new` is whether it is another target than before."""
+
+        `is_new` is whether it is another target than before.
+        """
         return self._replace(
             best=jnp.where(is_new, distance, self.best),
             waiting=jnp.where(is_new, 0, self.waiting),
@@ -108,9 +113,12 @@ class TargetProgress(NamedTuple):
 
 
 class TargetState(NamedTuple):
-    """State of a `TargetController`. `tracker` is the state of the controller that drives. `node`
-    is the index of the target on the guidance lattice: (row, column), or (k, j, i) in a volume.
-    `guidance` is the cost to go to it [m]. `since` is the number of commands so far."""
+    """State of a `TargetController`.
+
+    `tracker` is the state of the controller that drives. `node` is the index of the target on the
+    guidance lattice: (row, column), or (k, j, i) in a volume. `guidance` is the cost to go to it
+    [m]. `since` is the number of commands so far.
+    """
 
     tracker: Any
     node: Int[Array, " n"]

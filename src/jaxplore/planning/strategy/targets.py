@@ -263,8 +263,10 @@ class TargetReference(StrategicReference):
 def _nearest(
     roads: Roadmap, position: Position
 ) -> tuple[Bool[Array, "rows columns"], Float[Array, "rows columns"]]:
-    """Return the open nodes nearest to a position, and the distances of all nodes [m]. For a
-    position that is not finite, no node is near."""
+    """Return the open nodes nearest to a position, and the distances of all nodes [m].
+
+    For a position that is not finite, no node is near.
+    """
     row, column = roads.frame.to_grid(position)
     rows, columns = (jnp.arange(size, dtype=jnp.float32) + 0.5 for size in roads.is_open.shape)
     square = (rows - row)[:, None] ** 2 + (columns - column)[None, :] ** 2

@@ -159,8 +159,10 @@ class TwistFollower(Follower):
 def _solve_bounded(
     normal: Float[Array, "n n"], right: Float[Array, " n"], low: Array, high: Array
 ) -> Float[Array, " n"]:
-    """Return x of least x' normal x / 2 - right x within bounds, by coordinate descent. Solved
-    without the bounds, the steering would suit a speed that is out of reach."""
+    """Return x of least x' normal x / 2 - right x within bounds, by coordinate descent.
+
+    Solved without the bounds, the steering would suit a speed that is out of reach.
+    """
 
     def sweep(_: Array, x: Array) -> Array:
         for index in range(normal.shape[0]):

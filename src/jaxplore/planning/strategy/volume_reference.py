@@ -59,9 +59,11 @@ class VolumeReference(eqx.Module):
         required: Scalar,
         start: Float[Array, "3"],
     ) -> Float[Array, "T 3"]:
-        """Compute the positions (x, y, z) after 1 ... T steps [m], z up, that descend a cost-to-go
-        [m] and keep the clearance that the robot needs from voxels that are not known to be free
-        [m]."""
+        """Compute the positions (x, y, z) after 1 ...
+
+        T steps [m], z up, that descend a cost-to-go [m] and keep the clearance that the robot needs
+        from voxels that are not known to be free [m].
+        """
         length = self.speed * self.dt
         pieces = jnp.maximum(jnp.ceil(length / (0.5 * clearance.spacing)), 1.0)
 

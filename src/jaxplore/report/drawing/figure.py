@@ -32,8 +32,11 @@ def figure_formats(figures: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def figure_bytes(figure: "Figure", kind: str = PNG, dpi: int | float | None = None) -> bytes:
-    """Return the file of a figure as png, pdf or svg. `dpi` is the resolution of a PNG, or of the
-    images within the others; None takes the default of the format."""
+    """Return the file of a figure as png, pdf or svg.
+
+    `dpi` is the resolution of a PNG, or of the images within the others; None takes the default
+    of the format.
+    """
     import matplotlib as mpl
 
     if dpi is None:

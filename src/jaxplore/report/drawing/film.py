@@ -112,8 +112,10 @@ class Film:
 
 
 def check_film(path: str | PathLike[str], options: FilmOptions, *, name: str = "film") -> Path:
-    """Check before a long run whether a film can be written; return its path. `name` is that of the
-    path in messages."""
+    """Check before a long run whether a film can be written; return its path.
+
+    `name` is that of the path in messages.
+    """
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in (GIF, MP4):
@@ -146,9 +148,11 @@ def write_film[F](
     options: FilmOptions,
     on_progress: Callable[[float], None],
 ) -> None:
-    """Write a film of frames, at least one, completely or not at all: .gif or .mp4 by the suffix. A
-    GIF loops, pauses on the last frame, and has the `palette` of some of its pictures. All pictures
-    have one size. `on_progress` is called with the share that is done, 0 to 1."""
+    """Write a film of frames, at least one, completely or not at all: .gif or .mp4 by the suffix.
+
+    A GIF loops, pauses on the last frame, and has the `palette` of some of its pictures. All
+    pictures have one size. `on_progress` is called with the share that is done, 0 to 1.
+    """
     file = check_film(path, options)
     seconds = options.frame_seconds(file.suffix.lower())
 
@@ -226,8 +230,10 @@ def _even(picture: Image.Image) -> Image.Image:
 
 
 def add_caption(image: Image.Image, scale: float, left: str, right: str) -> Image.Image:
-    """Return a picture below a caption, such as its name and the speed of the film. The left text
-    is in bold letters. Either text may be empty."""
+    """Return a picture below a caption, such as its name and the speed of the film.
+
+    The left text is in bold letters. Either text may be empty.
+    """
     height = round(CAPTION * scale)
     whole = Image.new("RGB", (image.width, image.height + height), PAPER)
     whole.paste(image, (0, height))
@@ -246,8 +252,10 @@ def describe_speed(speed: float | None) -> str:
 
 
 def evenly_chosen[F](frames: Sequence[F], most: int) -> list[F]:
-    """Choose at most `most` evenly spaced frames, the first and the last included. A single frame
-    is the last one."""
+    """Choose at most `most` evenly spaced frames, the first and the last included.
+
+    A single frame is the last one.
+    """
     count = min(most, len(frames))
     # Counted from the end, so that a single frame is the last one.
     back = np.round(np.linspace(0, len(frames) - 1, count)).astype(int)[::-1]

@@ -29,8 +29,10 @@ def fonts(scale: float) -> tuple[Font, Font]:
 
 
 class Entry(NamedTuple):
-    """An entry of the legend: what is drawn, in which colour and in which shape. `edge` is the
-    colour of the edge of a disc; None draws no edge."""
+    """An entry of the legend: what is drawn, in which colour and in which shape.
+
+    `edge` is the colour of the edge of a disc; None draws no edge.
+    """
 
     name: str
     colour: Colour
@@ -117,9 +119,11 @@ class Footer:
     def curve(
         self, time: np.ndarray, shares: np.ndarray, step: int, *, level: float | None = None
     ) -> None:
-        """Draw a curve up to the present time, right of the numbers. `time` (N,) covers the whole
-        run [s], and `step` is the index of the present time. The shares (N,) are heights from 0 to
-        1. A horizontal line marks a level; None draws none."""
+        """Draw a curve up to the present time, right of the numbers.
+
+        `time` (N,) covers the whole run [s], and `step` is the index of the present time. The
+        shares (N,) are heights from 0 to 1. A horizontal line marks a level; None draws none.
+        """
         across, height = self.width - EDGE - CURVE_LEFT, STRIP - 22
         # Pillow draws lines without smoothing, so they are drawn larger and reduced.
         factor = 2 * SUPERSAMPLING

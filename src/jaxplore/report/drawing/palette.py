@@ -24,8 +24,10 @@ REFERENCE = (25, 91, 38)
 
 
 def fit_palette(given: Sequence[Colour], pictures: Sequence[Image.Image]) -> Image.Image:
-    """Compute a palette of the given colours and the most frequent others of some frames. The given
-    colours are opaque and kept unchanged. The frames are all of one size."""
+    """Compute a palette of the given colours and the most frequent others of some frames.
+
+    The given colours are opaque and kept unchanged. The frames are all of one size.
+    """
     width, height = pictures[0].size
     sheet = Image.new("RGB", (width, height * len(pictures)))
     for index, picture in enumerate(pictures):

@@ -29,17 +29,21 @@ NOT_FINITE = PALE
 
 def cost_names(frame: Any) -> tuple[str, ...]:
     """Return by which costs the rollouts of a frame can be coloured: the total, and each term.
+
     There are none if the frame has no costs of rollouts. A term that is called as the total or the
-    weight is left out."""
+    weight is left out.
+    """
     terms = tuple(getattr(frame, "sample_terms", ()))
     others = [name for name in terms if name not in (WEIGHT, TOTAL)]
     return (TOTAL, *others) if terms else ()
 
 
 def costs_of_rollouts(frame: Any, name: str) -> np.ndarray:
-    """Return what the rollouts of a frame cost (S,), in double precision. The name is that of a
-    term, or `TOTAL` for the sum of all terms. A cost that the frame does not have raises a
-    `ValueError`."""
+    """Return what the rollouts of a frame cost (S,), in double precision.
+
+    The name is that of a term, or `TOTAL` for the sum of all terms. A cost that the frame does not
+    have raises a `ValueError`.
+    """
     known = cost_names(frame)
     if name not in known:
         told = ", ".join((WEIGHT, *known)) if known else f"{WEIGHT}; nobody knows the costs"

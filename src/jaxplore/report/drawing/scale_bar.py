@@ -16,9 +16,11 @@ FAR = 1e4
 
 
 def add_scale_bar(axes: "Axes") -> None:
-    """Draw a bar of a round length below the right end of axes in metres, beside their label. The
-    limits of the axes must be set. Far from the origin the labels of the axes are whole
-    coordinates, without a common offset."""
+    """Draw a bar of a round length below the right end of axes in metres, beside their label.
+
+    The limits of the axes must be set. Far from the origin the labels of the axes are whole
+    coordinates, without a common offset.
+    """
     from matplotlib.transforms import ScaledTranslation, blended_transform_factory
 
     if max(map(abs, (*axes.get_xlim(), *axes.get_ylim()))) >= FAR:

@@ -19,9 +19,11 @@ def find_runs(mask: np.ndarray) -> list[slice]:
 
 
 def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
-    """Compute the moving average (N, ...) over `width` rows around each row, fewer at the ends. The
-    width is at least 1; an even one reaches one row further back. Values that are not finite are
-    left out; a window without finite values has the mean NaN."""
+    """Compute the moving average (N, ...) over `width` rows around each row, fewer at the ends.
+
+    The width is at least 1; an even one reaches one row further back. Values that are not finite
+    are left out; a window without finite values has the mean NaN.
+    """
     values = np.asarray(rows, np.float64)
     is_finite = np.isfinite(values)
     count = len(values)

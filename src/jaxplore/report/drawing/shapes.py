@@ -44,8 +44,10 @@ def draw_line(
     colour: Colour,
     thickness: float,
 ) -> None:
-    """Draw a line through world points (N, 2) [m]; points that are not finite are left out. The
-    thickness is in pixels of scale 1."""
+    """Draw a line through world points (N, 2) [m]; points that are not finite are left out.
+
+    The thickness is in pixels of scale 1.
+    """
     whole = points[np.isfinite(points).all(axis=-1)]
     if len(whole) > 1:
         draw.line(pairs(surface.pixels(whole)), colour, round(thickness * surface.unit), "curve")

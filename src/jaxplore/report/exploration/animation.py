@@ -63,8 +63,10 @@ def frame_image(
     width: int = WIDTH,
     scale: float = 1.0,
 ) -> Image.Image:
-    """Draw one frame of a run, as in the animation. The width is that at scale 1 [pixels], at least
-    320; tall or small maps have less."""
+    """Draw one frame of a run, as in the animation.
+
+    The width is that at scale 1 [pixels], at least 320; tall or small maps have less.
+    """
     return _draw(make_canvas(recording, width, scale), frame)
 
 
@@ -79,8 +81,10 @@ def _draw(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
 
 
 def _ground(canvas: Canvas, frame: ExplorationFrame) -> np.ndarray:
-    """Draw the belief, unseen true walls, the information and untraversable ground. One pixel per
-    cell."""
+    """Draw the belief, unseen true walls, the information and untraversable ground.
+
+    One pixel per cell.
+    """
     drawn = np.ix_(*canvas.sample)
     level = canvas.map.window.crop(frame.probability, 128.0)
     is_hidden = canvas.any_in_blocks(canvas.map.walls & _is_unknown(level))
@@ -115,8 +119,10 @@ def _draw_robot(
     frame: ExplorationFrame,
     draw: ImageDraw.ImageDraw,
 ) -> None:
-    """Draw the scan, the trails, the rollouts, the plans and the robots, in this order. Of several
-    robots each has its colour."""
+    """Draw the scan, the trails, the rollouts, the plans and the robots, in this order.
+
+    Of several robots each has its colour.
+    """
     places, robots = recording.places(frame), recording.robots
     colours: list[tuple[Colour, Colour, Colour]] = [(TRAIL, PLAN, ROBOT)]
     if TEAM in recording.parts:
@@ -190,9 +196,11 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 
 
 def compute_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
-    """Compute the palette that all frames share from a few pictures, all of one size. Thin lines
-    have few pixels, and a palette by frequency would lose their colours: they are fixed, pure and
-    blended with the background, as far as the recording has them."""
+    """Compute the palette that all frames share from a few pictures, all of one size.
+
+    Thin lines have few pixels, and a palette by frequency would lose their colours: they are fixed,
+    pure and blended with the background, as far as the recording has them.
+    """
     lines: tuple[Colour, ...] = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, *lines]
     if TEAM in recording.parts:

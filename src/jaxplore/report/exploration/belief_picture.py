@@ -19,9 +19,11 @@ MOST_RAYS = 45
 
 @dataclasses.dataclass(frozen=True)
 class Sheet:
-    """The transformation from world points to a supersampled picture of a whole grid. The grid has
-    the pose `origin` [m, m, rad] and a height [m]. `scale` is the pixels of the supersampled
-    picture per metre."""
+    """The transformation from world points to a supersampled picture of a whole grid.
+
+    The grid has the pose `origin` [m, m, rad] and a height [m]. `scale` is the pixels of the
+    supersampled picture per metre.
+    """
 
     unit: ClassVar[float] = float(SUPERSAMPLING)
 

@@ -36,15 +36,19 @@ class Canvas:
     brightest: float
 
     def any_in_blocks(self, cells: np.ndarray) -> np.ndarray:
-        """Return for each drawn cell whether any cell that it stands for is set. So a wall of one
-        cell stays visible where several cells share a pixel."""
+        """Return for each drawn cell whether any cell that it stands for is set.
+
+        So a wall of one cell stays visible where several cells share a pixel.
+        """
         rows = np.logical_or.reduceat(cells, self.blocks[0], axis=0)
         return np.asarray(np.logical_or.reduceat(rows, self.blocks[1], axis=1))
 
 
 def make_canvas(recording: ExplorationData, width: int, zoom: float) -> Canvas:
-    """Make the canvas of a recording; `zoom` is the scale of the picture. The width is in pixels of
-    scale 1, at least 320; tall or small maps have less."""
+    """Make the canvas of a recording; `zoom` is the scale of the picture.
+
+    The width is in pixels of scale 1, at least 320; tall or small maps have less.
+    """
     if width < MIN_WIDTH:
         raise ValueError(f"width is {width!r}; accepted: a whole number >= {MIN_WIDTH}")
     time, coverage, _, path = progress(recording)

@@ -119,9 +119,11 @@ def _first(mask: np.ndarray) -> int | None:
 
 
 def member_means(recording: ExplorationData) -> dict[str, dict[str, float | None]] | None:
-    """Compute the mean share of each member in the control, and means over its own plans. `share`,
-    `uncertainty` [half ranges], `effective_sample_size` and `cost`: means over the steps in which
-    they were finite; None if they never were. None without members or without a step."""
+    """Compute the mean share of each member in the control, and means over its own plans.
+
+    `share`, `uncertainty` [half ranges], `effective_sample_size` and `cost`: means over the steps
+    in which they were finite; None if they never were. None without members or without a step.
+    """
     members = recording.records.members
     if members is None or recording.num_steps == 0:
         return None

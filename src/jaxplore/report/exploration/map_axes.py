@@ -37,8 +37,10 @@ def map_figure_axes(width: float, height: float, window: Window) -> tuple["Figur
 
 
 def frame_map(axes: "Axes", window: Window) -> None:
-    """Give axes the limits, the labels and the scale bar of a map. The axes are the world's, or the
-    grid's own if it is rotated."""
+    """Give axes the limits, the labels and the scale bar of a map.
+
+    The axes are the world's, or the grid's own if it is rotated.
+    """
     left, right, bottom, top = window.extent
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     prefix = "grid " if window.is_turned else ""
@@ -67,8 +69,10 @@ def true_outline(
     recording: MapData, window: Window, beside: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the edges (N, 2, 2) between solid cells and the free space around the reachable cells.
+
     They are in metres from the window's corner, along the grid's axes. With `beside` (H, W), an
-    edge must be at one of these cells of the map."""
+    edge must be at one of these cells of the map.
+    """
     import scipy.ndimage  # slow to import, and few need it
 
     labels, _ = scipy.ndimage.label(np.asarray(recording.world) < FREE_THRESHOLD)

@@ -23,9 +23,11 @@ type Curves = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class MapCanvas:
-    """What is the same in every frame of a run on a map; a `Surface`. `size` is the columns and
-    rows of the map in the picture [pixels]; `scale` is the supersampled pixels per metre, and
-    `zoom` the scale of the picture. `walls` are the window's true walls."""
+    """What is the same in every frame of a run on a map; a `Surface`.
+
+    `size` is the columns and rows of the map in the picture [pixels]; `scale` is the supersampled
+    pixels per metre, and `zoom` the scale of the picture. `walls` are the window's true walls.
+    """
 
     data: MissionData
     window: Window
@@ -83,9 +85,11 @@ def make_map_canvas(data: MissionData, curves: Curves, width: int, zoom: float) 
 
 
 def _draw_footer(canvas: MapCanvas, frame: MissionFrame, footer: Footer) -> None:
-    """Draw the main number and its curve, time, distance, words of parts, scale bar and legend. The
-    main number is the coverage. On a map that was known in advance, it is the headline of a part,
-    and without one the distance driven."""
+    """Draw the main number and its curve, time, distance, words of parts, scale bar and legend.
+
+    The main number is the coverage. On a map that was known in advance, it is the headline of a
+    part, and without one the distance driven.
+    """
     data, (time, coverage, path) = canvas.data, canvas.curves
     step = min(frame.step, len(time) - 1)
     if is_known_map(data):
@@ -112,8 +116,10 @@ def _draw_mission(
     path: np.ndarray,
     step: int,
 ) -> None:
-    """Draw what a run on a known map is judged by. `time` [s] and `path`, the distance driven until
-    then [m], have one value for each instant."""
+    """Draw what a run on a known map is judged by.
+
+    `time` [s] and `path`, the distance driven until then [m], have one value for each instant.
+    """
     found = [each.headline(recording, step) for each in recording.parts.values()]
     headline = next((each for each in found if each is not None), None)
     if headline is None:

@@ -183,8 +183,10 @@ def _unseen_walls(recording: ExplorationData) -> np.ndarray:
 
 def coverage_figure(recording: ExplorationData) -> "Figure":
     """Draw coverage and entropy over time, and the times at which levels of coverage were reached.
+
     Of several robots it shows the coverage by the map of each in place of the entropy. A panel
-    below shows how many targets had been found, if there are any."""
+    below shows how many targets had been found, if there are any.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

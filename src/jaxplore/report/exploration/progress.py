@@ -31,9 +31,11 @@ def progress(
 
 
 def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
-    """Return the number of steps of the longest stall, of N + 1 positions [m] and coverages. One
-    pass with a sliding window: the later end advances, the earlier one follows as needed. Four
-    monotonic queues keep the window's extremes, so the whole pass is O(N)."""
+    """Return the number of steps of the longest stall, of N + 1 positions [m] and coverages.
+
+    One pass with a sliding window: the later end advances, the earlier one follows as needed.
+    Four monotonic queues keep the window's extremes, so the whole pass is O(N).
+    """
     # Noise can lower the coverage, and a return to a former value is no rise.
     best = np.maximum.accumulate(coverage).tolist()
     # With each axis negated as well, all queues keep maxima: their sums are the window's extents.

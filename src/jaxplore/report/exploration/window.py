@@ -34,9 +34,11 @@ class MapData(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Window:
-    """The part of a grid that is drawn; it may reach beyond the grid. `first` is the row and column
-    of its first cell, and `shape` its number of rows and columns. The grid has the pose `origin`
-    [m, m, rad] and cells of side `resolution` [m]."""
+    """The part of a grid that is drawn; it may reach beyond the grid.
+
+    `first` is the row and column of its first cell, and `shape` its number of rows and columns. The
+    grid has the pose `origin` [m, m, rad] and cells of side `resolution` [m].
+    """
 
     first: tuple[int, int]
     shape: tuple[int, int]
@@ -66,8 +68,10 @@ class Window:
 
     @property
     def corner(self) -> np.ndarray:
-        """First corner (2,) of the window on the drawn axes [m]. The drawn axes are the world's, or
-        the grid's own if it is rotated."""
+        """First corner (2,) of the window on the drawn axes [m].
+
+        The drawn axes are the world's, or the grid's own if it is rotated.
+        """
         corner = np.asarray(self.first[::-1], np.float64) * self.resolution
         return corner if self.is_turned else corner + self.origin[:2]
 

@@ -46,9 +46,11 @@ DASH = 6.0
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """The part of the ground that a frame shows. `corner` (2,) is its lower left one [m]. `scale`
-    is the supersampled pixels per metre, and `unit` those per pixel of scale 1. `size` is the
-    columns and rows of the supersampled map."""
+    """The part of the ground that a frame shows.
+
+    `corner` (2,) is its lower left one [m]. `scale` is the supersampled pixels per metre, and
+    `unit` those per pixel of scale 1. `size` is the columns and rows of the supersampled map.
+    """
 
     corner: np.ndarray
     scale: float
@@ -103,9 +105,11 @@ class PathCanvas:
 def path_frame_image(
     recording: PathData, frame: PathFrame, *, side: int = WIDTH, scale: float = 1.0
 ) -> Image.Image:
-    """Draw one frame of a path-following run, as in the animation. It shows the whole course, or,
-    if the robot would be too small, a view that follows the robot. `side` is the longer side of the
-    picture of the course at scale 1 [pixels]."""
+    """Draw one frame of a path-following run, as in the animation.
+
+    It shows the whole course, or, if the robot would be too small, a view that follows the robot.
+    `side` is the longer side of the picture of the course at scale 1 [pixels].
+    """
     return _draw(_make_canvas(recording, side, scale), frame)
 
 

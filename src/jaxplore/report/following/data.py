@@ -155,15 +155,19 @@ def lap_starts(recording: PathData) -> np.ndarray:
 
 
 def lap_times(recording: PathData) -> list[float]:
-    """Return the times of the completed laps [s], the first from the start of the run. Empty for an
-    open path."""
+    """Return the times of the completed laps [s], the first from the start of the run.
+
+    Empty for an open path.
+    """
     return [float(seconds) for seconds in np.diff(lap_starts(recording))]
 
 
 def speeds(recording: PathData) -> np.ndarray:
-    """Return the speed (N + 1,) at the start and after each step [m/s], never negative. It is read
-    from the state, v or (vx, vy). If the state has no speed, it is the distance per control period,
-    and 0 at the start."""
+    """Return the speed (N + 1,) at the start and after each step [m/s], never negative.
+
+    It is read from the state, v or (vx, vy). If the state has no speed, it is the distance per
+    control period, and 0 at the start.
+    """
     names = recording.state_names
     states = np.concatenate([recording.start[None], recording.records.state]).astype(np.float64)
     for own in (("v",), ("vx", "vy")):

@@ -68,8 +68,10 @@ def worst_steps(margins: ArrayLike) -> np.ndarray:
 
 def path_figure(recording: PathData) -> "Figure":
     """Draw the course (path and corridor), the trail coloured by speed, and the obstacles.
+
     Obstacles are dark at their last position, and faint at their positions in some of the frames.
-    Positions out of the corridor are red; a cross marks the deepest point of each contact."""
+    Positions out of the corridor are red; a cross marks the deepest point of each contact.
+    """
     # Matplotlib is slow to import, and its Agg canvas needs no display.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
@@ -269,9 +271,11 @@ def _add_marks(axes: "Axes", recording: PathData) -> None:
 
 
 def errors_figure(recording: PathData) -> "Figure":
-    """Draw errors, speed and accelerations over time, or over the progress of an open path. If
-    present, it also shows the room to the corridor's edge and the gap to the nearest obstacle; both
-    are negative where violated. Vertical lines separate laps."""
+    """Draw errors, speed and accelerations over time, or over the progress of an open path.
+
+    If present, it also shows the room to the corridor's edge and the gap to the nearest obstacle;
+    both are negative where violated. Vertical lines separate laps.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -64,8 +64,11 @@ class VolumeRecording(VolumeData, Recording):
         return compute_volume_metrics(self, seed=seed)
 
     def course(self) -> Course:
-        """Return what a comparison on several maps shows of the run, as seen from above. A column
-        of voxels is known when the robot knows something solid in it: floor, wall or ceiling."""
+        """Return what a comparison on several maps shows of the run, as seen from above.
+
+        A column of voxels is known when the robot knows something solid in it: floor, wall or
+        ceiling.
+        """
         steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
         path = np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -76,7 +79,9 @@ class VolumeRecording(VolumeData, Recording):
 
     def frame_image(self, frame: VolumeFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a level slice at the height of the robot, and below it a vertical one through it.
-        The trail is pale where it is not near the slice: there it may pass behind a wall."""
+
+        The trail is pale where it is not near the slice: there it may pass behind a wall.
+        """
         pixels = scale * WIDTH / self.world.shape[2]
         level = _slice_image(frame.level, pixels)
         upright = _slice_image(frame.upright, pixels)
@@ -146,9 +151,11 @@ class VolumeRecording(VolumeData, Recording):
         return {"turntable.gif": partial(write_turntable, self)}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the content of `arrays.npz`: plain arrays, no pickles. Each field of
-        `VolumeRecord` and of the parts' records stands there under its name, one row per step;
-        `time` (N + 1,) [s] and `positions` (N + 1, 3) [m] with z up belong to instants."""
+        """Return the content of `arrays.npz`: plain arrays, no pickles.
+
+        Each field of `VolumeRecord` and of the parts' records stands there under its name, one row
+        per step; `time` (N + 1,) [s] and `positions` (N + 1, 3) [m] with z up belong to instants.
+        """
         steps = {name: rows for name, rows in self.records._asdict().items() if rows is not None}
         return {
             **self.part_arrays(steps.pop("parts", {})),
@@ -177,8 +184,11 @@ def _slice_image(states: np.ndarray, pixels: float) -> Image.Image:
 
 
 def volume_figure(data: VolumeData) -> "Figure":
-    """Draw what the robot found in space, and its path. Of the occupied voxels those are drawn
-    whose upper or side neighbour is known to be free; the ceiling is left out."""
+    """Draw what the robot found in space, and its path.
+
+    Of the occupied voxels those are drawn whose upper or side neighbour is known to be free; the
+    ceiling is left out.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 6.5))
@@ -242,9 +252,11 @@ def write_turntable(data: VolumeData, path: Path) -> None:
 
 
 def slices_figure(data: VolumeData) -> "Figure":
-    """Draw level slices of the map at a quarter, a half and three quarters of its height. The path
-    is pale where another slice is nearer to it: there it may pass above or below a wall. Of a robot
-    that found its pose all slices show the estimated way and that of its odometry."""
+    """Draw level slices of the map at a quarter, a half and three quarters of its height.
+
+    The path is pale where another slice is nearer to it: there it may pass above or below a wall.
+    Of a robot that found its pose all slices show the estimated way and that of its odometry.
+    """
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 

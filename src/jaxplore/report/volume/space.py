@@ -25,9 +25,11 @@ Colours = NDArray[np.uint8]
 def surface(
     occupied: np.ndarray, free: np.ndarray | None = None, most: int = MOST_POINTS
 ) -> np.ndarray:
-    """Return the voxels (N, 3) as (k, j, i) that are drawn: occupied ones below the ceiling. With
-    the free voxels (D, H, W), only those are drawn that have a free neighbour above or beside them.
-    Of more than `most`, evenly chosen ones are returned."""
+    """Return the voxels (N, 3) as (k, j, i) that are drawn: occupied ones below the ceiling.
+
+    With the free voxels (D, H, W), only those are drawn that have a free neighbour above or beside
+    them. Of more than `most`, evenly chosen ones are returned.
+    """
     shown = occupied.copy()
     if free is not None:
         beside = np.zeros_like(occupied)
@@ -60,9 +62,11 @@ def height_colours(heights: np.ndarray, low: float, high: float) -> Colours:
 
 
 class SpacePicture:
-    """Draws a box in space from any side, in parallel projection, all sides at one scale. `low` and
-    `high` are the lowest and the highest corner (x, y, z) of the box [m]. `width` is that of the
-    pictures [pixels], and `elevation` the angle of the view above the horizon [rad]."""
+    """Draws a box in space from any side, in parallel projection, all sides at one scale.
+
+    `low` and `high` are the lowest and the highest corner (x, y, z) of the box [m]. `width` is that
+    of the pictures [pixels], and `elevation` the angle of the view above the horizon [rad].
+    """
 
     def __init__(
         self, low: np.ndarray, high: np.ndarray, width: int, elevation: float = math.radians(40.0)
@@ -77,7 +81,9 @@ class SpacePicture:
 
     def project(self, points: np.ndarray, azimuth: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (N, 2) of points (N, 3) [m], and how near to the viewer each is [m].
-        `azimuth` is the direction in which the viewer looks, around the vertical axis [rad]."""
+
+        `azimuth` is the direction in which the viewer looks, around the vertical axis [rad].
+        """
         x, y, z = (points - self._middle).T
         right = math.sin(azimuth) * x - math.cos(azimuth) * y
         away = math.cos(azimuth) * x + math.sin(azimuth) * y

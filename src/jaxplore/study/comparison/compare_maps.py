@@ -27,8 +27,10 @@ MOST_SHAPES = 4
 
 
 class EpisodeDone(NamedTuple):
-    """Progress after an episode, with the reason if it failed. `num_done` counts the episodes of
-    this call so far, `num_left` those left before this call."""
+    """Progress after an episode, with the reason if it failed.
+
+    `num_done` counts the episodes of this call so far, `num_left` those left before this call.
+    """
 
     episode: MapEpisode
     error: str | None
@@ -37,8 +39,10 @@ class EpisodeDone(NamedTuple):
 
 
 class RunCounts(NamedTuple):
-    """Numbers of runs of a comparison, and whether the user stopped it. Former calls have run
-    `num_former`, this call `num_done`, failed ones included."""
+    """Numbers of runs of a comparison, and whether the user stopped it.
+
+    Former calls have run `num_former`, this call `num_done`, failed ones included.
+    """
 
     num_done: int
     num_failed: int
@@ -48,9 +52,11 @@ class RunCounts(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class MapComparison:
-    """Result of a comparison on maps. `print` shows its tables, one for each map. `failures` has a
-    line for each reason of failed runs. `num_episodes` counts the planned runs. `results` is the
-    path of the table of all rows (Parquet), `page` that of the page (HTML)."""
+    """Result of a comparison on maps. `print` shows its tables, one for each map.
+
+    `failures` has a line for each reason of failed runs. `num_episodes` counts the planned runs.
+    `results` is the path of the table of all rows (Parquet), `page` that of the page (HTML).
+    """
 
     tables: tuple[MapTable, ...]
     failures: tuple[str, ...]
@@ -126,7 +132,9 @@ def _with_shapes(
     episodes: Sequence[MapEpisode], maps: Sequence[MapFile]
 ) -> tuple[tuple[MapEpisode, ...], dict[str, tuple[OccupancyGrid, Datum]]]:
     """Give the episodes common shapes of maps; return them, and the plans of the first variant.
-    Similar maps share a compiled program, so time and memory do not grow with their number."""
+
+    Similar maps share a compiled program, so time and memory do not grow with their number.
+    """
     variants = {each.explorer: each for each in reversed(episodes)}
     read: dict[str, dict[str, tuple[OccupancyGrid, Datum]]] = {}
     plans = {}
@@ -158,8 +166,10 @@ def run_episodes(
 
     Failed ones are run again. Those of one map and variant run one after the other if possible,
     because they share a compiled program. Ctrl-C keeps finished runs. Only this process writes to
-    the store, and it calls `on_done` after each episode. The runner is this process when None, and
-    is closed at the end. Other processes import `make`, which runs a batch, by name.
+    the store, and it calls `on_done` after each episode.
+
+    The runner is this process when None, and is closed at the end. Other processes import `make`,
+    which runs a batch, by name.
     """
     left = make_batches(each for each in episodes if not store.is_done(each.id))
     num_left = sum(map(len, left))

@@ -158,8 +158,10 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
-    """Draw the curves of the metrics class: medians, and bands between the quartiles. A run that
-    has ended keeps its last value."""
+    """Draw the curves of the metrics class: medians, and bands between the quartiles.
+
+    A run that has ended keeps its last value.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -66,7 +66,9 @@ class MapEpisode:
     @functools.cached_property
     def id(self) -> str:
         """Hash of all fields except the location and the shape of the map, 20 hexadecimal digits.
-        So results stay valid if the folder of maps is moved, or maps are added to it."""
+
+        So results stay valid if the folder of maps is moved, or maps are added to it.
+        """
         content = {"format": FORMAT, **dataclasses.asdict(self)}
         del content["path"], content["copy"], content["map_shape"]
         if self.batch == 1:
@@ -244,8 +246,10 @@ def _code(settings: RunSettings) -> str:
 
 
 def common_settings(settings: Mapping[str, Any], kind: Kind | None = None) -> dict[str, Any]:
-    """Normalise the entries that all runs share: 900 and 900.0 are the same time limit. Map,
-    architecture and seed belong to each run and are left out."""
+    """Normalise the entries that all runs share: 900 and 900.0 are the same time limit.
+
+    Map, architecture and seed belong to each run and are left out.
+    """
     kind = default_kind() if kind is None else kind
     own = {kind.selector, "architecture", "seed"}
     shared = {name: value for name, value in settings.items() if name not in own}

@@ -121,9 +121,11 @@ def _has_some(kind: Kind, named: Sequence[str], listed: Mapping[str, Sequence[Pa
 
 
 def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tuple[MapFile, ...]:
-    """Set the starts of maps from a YAML file, a mapping NAME: [x, y, yaw] [m, m, rad]. In a volume
-    it is [x, y, z, yaw]. A map that is not in the file keeps its start. An unknown name raises a
-    ValueError."""
+    """Set the starts of maps from a YAML file, a mapping NAME: [x, y, yaw] [m, m, rad].
+
+    In a volume it is [x, y, z, yaw]. A map that is not in the file keeps its start. An unknown name
+    raises a ValueError.
+    """
     starts = {str(name): value for name, value in read_settings(file).items()}
     known = [each.name for each in maps]
     for name in starts:
@@ -140,8 +142,10 @@ def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tupl
 
 
 def read_plans(maps: Sequence[MapFile], entries: Entries) -> dict[str, tuple[OccupancyGrid, Datum]]:
-    """Return the plan of each map by name, and its datum, without maps that cannot be read. The
-    entries are those of the runs."""
+    """Return the plan of each map by name, and its datum, without maps that cannot be read.
+
+    The entries are those of the runs.
+    """
     plans = {}
     for each in maps:
         kind, compared = kind_of_map(each.selector)

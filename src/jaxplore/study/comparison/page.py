@@ -180,8 +180,10 @@ def _relative(results: Sequence[Row], datums: Mapping[str, Datum]) -> list[Row]:
 
 def curves_figure(runs: Sequence[Row]) -> "Figure":
     """Draw coverage over time for each variant on a map: medians, and bands between the quartiles.
+
     A run that has ended keeps its last value. The time axis ends when three quarters of the runs
-    have ended, because a random walk would compress all others."""
+    have ended, because a random walk would compress all others.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -254,8 +256,10 @@ def _colour(grid: OccupancyGrid, part: Part) -> np.ndarray:
 
 
 def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ways (R, K) of the robots of a run in a part of a map, columns and rows [cells]. A
-    row has the positions of one robot after the other, K at the instants of its curves."""
+    """Return the ways (R, K) of the robots of a run in a part of a map, columns and rows [cells].
+
+    A row has the positions of one robot after the other, K at the instants of its curves.
+    """
     x0, y0, yaw = np.asarray(grid.frame.origin, np.float64)
     cos, sin = np.cos(yaw), np.sin(yaw)
     instants = len(row["curve_time"])

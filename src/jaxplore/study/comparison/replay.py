@@ -29,8 +29,10 @@ class Replay(NamedTuple):
 
 def decode_cells(picture: bytes | None, shape: tuple[int, int]) -> np.ndarray | None:
     """Return the levels of a replay's picture, row 0 at the bottom; None if it is none of a map.
+
     The PNG may have more rows at the top and more columns at the right than the map. Without one
-    all cells were seen in the first frame."""
+    all cells were seen in the first frame.
+    """
     if picture is None:
         return np.zeros(shape, np.uint8)
     try:
@@ -44,8 +46,10 @@ def decode_cells(picture: bytes | None, shape: tuple[int, int]) -> np.ndarray | 
 
 
 def make_replay(frames: Sequence[Any], known: Callable[[Any], np.ndarray]) -> Replay:
-    """Compute the first of the frames in which each cell was known. `known` returns the cells (H,
-    W) that are known in a frame."""
+    """Compute the first of the frames in which each cell was known.
+
+    `known` returns the cells (H, W) that are known in a frame.
+    """
     first: np.ndarray | None = None
     for index, frame in enumerate(frames[:NEVER]):
         cells = known(frame)

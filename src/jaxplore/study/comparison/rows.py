@@ -89,8 +89,10 @@ def make_row(
     *,
     settings: RunSettings,
 ) -> Row:
-    """Make the row of a run from its recording, its metrics and its settings, with the start. A
-    recording without a `course` raises a `ValueError`."""
+    """Make the row of a run from its recording, its metrics and its settings, with the start.
+
+    A recording without a `course` raises a `ValueError`.
+    """
     course = recording.course()
     if course is None:
         raise ValueError(

@@ -36,8 +36,11 @@ NEEDED = ("map", "explorer", "seed", "error", "is_finished", *(each.name for eac
 
 
 class MapTable(NamedTuple):
-    """Table of the results on one map: the header, then a row for each variant. The lines of a cell
-    are the median, the quartiles if they differ, and the ratio to the reference's median."""
+    """Table of the results on one map: the header, then a row for each variant.
+
+    The lines of a cell are the median, the quartiles if they differ, and the ratio to the
+    reference's median.
+    """
 
     map: str
     rows: list[tuple[str, ...]]

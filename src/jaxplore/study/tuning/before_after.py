@@ -34,9 +34,11 @@ def before_and_after(
     options: FilmOptions,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> bytes | None:
-    """Run a scenario with several candidates and one seed, and return a GIF of all runs. It is None
-    if the user stopped it. Candidates are by title, from left to right. `on_progress` is called
-    with the share that is done, 0 to 1."""
+    """Run a scenario with several candidates and one seed, and return a GIF of all runs.
+
+    It is None if the user stopped it. Candidates are by title, from left to right. `on_progress` is
+    called with the share that is done, 0 to 1.
+    """
     recordings = {}
     for title, candidate in candidates.items():
         experiment = episodes.experiment(scenario, candidate, seed)

@@ -18,10 +18,12 @@ type Limits = Mapping[Where, float]
 
 
 class Generations:
-    """Evaluation of generations, one after the other; the current values are the first candidate. A
-    search can be continued after an interruption at any time: candidates are stored before they are
-    evaluated, episodes when finished, and the final states of a generation before any of its
-    candidates is reported to Optuna."""
+    """Evaluation of generations, one after the other; the current values are the first candidate.
+
+    A search can be continued after an interruption at any time: candidates are stored before they
+    are evaluated, episodes when finished, and the final states of a generation before any of its
+    candidates is reported to Optuna.
+    """
 
     def __init__(self, search: Search, episodes: Episodes, study: Any, start: Candidate) -> None:
         self._search, self._episodes, self._study = search, episodes, study
@@ -38,9 +40,12 @@ class Generations:
         limits: Limits,
         show: Callable[[int], None],
     ) -> None:
-        """Evaluate a generation, or the rest of it. `ask` returns its candidates if some are not
-        stored. `show` is called with the number of finished ones, after each episode and at the
-        end. After Ctrl-C finished episodes stay stored."""
+        """Evaluate a generation, or the rest of it.
+
+        `ask` returns its candidates if some are not stored. `show` is called with the number of
+        finished ones, after each episode and at the end. After Ctrl-C finished episodes stay
+        stored.
+        """
         trials = self._open_trials(numbers, ask)
         known = {each.number: read_episodes(each.user_attrs) for each in trials}
         decided = {each.number for each in trials if VERDICT in each.user_attrs}
@@ -128,8 +133,10 @@ class Generations:
         return None
 
     def _reference(self, known: Mapping[int, dict[Where, Any]], so_far: Sequence[Where]) -> float:
-        """Compute the mean objective of the current settings over some episodes. Differences from
-        it do not depend on the difficulty of the episodes."""
+        """Compute the mean objective of the current settings over some episodes.
+
+        Differences from it do not depend on the difficulty of the episodes.
+        """
         trials = self._study.get_trials(deepcopy=False)
         # Only the first generation holds the current settings; later ones read them from the study.
         first = known.get(0) or read_episodes(trials[0].user_attrs)

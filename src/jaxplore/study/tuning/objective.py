@@ -154,8 +154,10 @@ class Objective:
 
 
 def list_metrics(metrics_type: type[Metrics], groups: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the names of the metrics of a class; a name that ends with a dot is a prefix. `groups`
-    are names of groups beside them, see `Scenario.metric_groups`."""
+    """Return the names of the metrics of a class; a name that ends with a dot is a prefix.
+
+    `groups` are names of groups beside them, see `Scenario.metric_groups`.
+    """
     names = [f"{each}." for each in groups]
     for field in dataclasses.fields(metrics_type):
         if field.name in ("time_to", "path_to"):
@@ -174,8 +176,10 @@ _NO_NUMBERS = ("coverage_curve", "curves", "lap_times", "versions", "seed", "par
 
 
 def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None]:
-    """Flatten metrics to numbers by dotted names, such as `time_to.90`. Lists and texts are left
-    out, booleans become 1 and 0, infinite values and NaN become None."""
+    """Flatten metrics to numbers by dotted names, such as `time_to.90`.
+
+    Lists and texts are left out, booleans become 1 and 0, infinite values and NaN become None.
+    """
     numbers: dict[str, float | None] = {}
     for name, value in metrics.items():
         if isinstance(value, Mapping):

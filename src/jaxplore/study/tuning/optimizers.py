@@ -44,9 +44,10 @@ class Evaluated(NamedTuple):
 
 class Optimizer(abc.ABC):
     """An optimizer with the ask-and-tell interface, which proposes generations of candidates.
+
     Random numbers depend on its seed and the number of the generation only, so a study that
-    continues replays the former generations and gets the proposals of one without an
-    interruption."""
+    continues replays the former generations and gets the proposals of one without an interruption.
+    """
 
     @abc.abstractmethod
     def ask(self) -> list[Candidate]:
@@ -59,9 +60,11 @@ class Optimizer(abc.ABC):
 
 
 class OptunaOptimizer(Optimizer):
-    """A sampler of Optuna, see `OPTUNA`, which supports choices and several objectives. Source:
-    Akiba, Sano, Yanase, Ohta, Koyama, "Optuna: a next-generation hyperparameter optimization
-    framework", KDD 2019."""
+    """A sampler of Optuna, see `OPTUNA`, which supports choices and several objectives.
+
+    Source: Akiba, Sano, Yanase, Ohta, Koyama, "Optuna: a next-generation hyperparameter
+    optimization framework", KDD 2019.
+    """
 
     def __init__(
         self, name: str, space: Space, population: int, seed: int, num_objectives: int
@@ -200,8 +203,10 @@ class EvosaxOptimizer(Optimizer):
 
 
 def _evosax_options(name: str) -> dict[str, Any]:
-    """Return step sizes for strategies that estimate a gradient. The defaults of evosax suit
-    thousands of weights and generations."""
+    """Return step sizes for strategies that estimate a gradient.
+
+    The defaults of evosax suit thousands of weights and generations.
+    """
     if name not in ("open-es", "pgpe"):
         return {}
     optax = import_optional("optax", "tuning")
@@ -218,10 +223,14 @@ def reflect(places: np.ndarray) -> np.ndarray:
 
 
 class RibsOptimizer(Optimizer):
-    """Quality diversity by CMA-ME of pyribs: the best candidate of each cell of the measures. The
-    start is the initial mean. Each measure has a lower and an upper bound in `ranges`, and a number
-    of cells. Source: Fontaine, Togelius, Nikolaidis, Hoover, "Covariance matrix adaptation for the
-    rapid illumination of behavior space", GECCO 2020."""
+    """Quality diversity by CMA-ME of pyribs: the best candidate of each cell of the measures.
+
+    The start is the initial mean. Each measure has a lower and an upper bound in `ranges`, and a
+    number of cells.
+
+    Source: Fontaine, Togelius, Nikolaidis, Hoover, "Covariance matrix adaptation for the rapid
+    illumination of behavior space", GECCO 2020.
+    """
 
     def __init__(
         self,

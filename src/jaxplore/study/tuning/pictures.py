@@ -168,8 +168,10 @@ def _scale(axes: Any, which: str, values: list[float]) -> None:
 
 
 def _logarithmic(axes: Any, which: str, ratio: float) -> None:
-    """Use a logarithmic scale with plain labels. Matplotlib's default labels, 2 x 10^0, 3 x 10^0,
-    overlap."""
+    """Use a logarithmic scale with plain labels.
+
+    Matplotlib's default labels, 2 x 10^0, 3 x 10^0, overlap.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     getattr(axes, f"set_{which}scale")("log")

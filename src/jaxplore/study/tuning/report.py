@@ -86,8 +86,11 @@ def write_results(
     animation: bytes | None = None,
     kinds: Sequence[str] = (PNG,),
 ) -> list[Path]:
-    """Write tables, figures, the summary and the page, and return their paths. `animation` is a GIF
-    of runs before and after. `kinds` are the formats of the figures; the page shows them as PNG."""
+    """Write tables, figures, the summary and the page, and return their paths.
+
+    `animation` is a GIF of runs before and after. `kinds` are the formats of the figures; the page
+    shows them as PNG.
+    """
     text = yaml.safe_dump(record(study, found), sort_keys=False, allow_unicode=True)
     texts = {
         RECORD: text,

@@ -287,8 +287,10 @@ class SettingsEpisodes(Episodes):
 
 
 def build_entries(entries: Entries, _: Episode, location: Entries) -> Experiment:
-    """Build the experiment of an episode in a worker. `location` is the setting that locates the
-    map or path on this machine."""
+    """Build the experiment of an episode in a worker.
+
+    `location` is the setting that locates the map or path on this machine.
+    """
     return build(make_settings({**entries, **location}))
 
 

@@ -74,8 +74,10 @@ class Change:
 def change(
     name: str, before: Sequence[float], after: Sequence[float], level: float = 0.0
 ) -> Change:
-    """Compute the change of a quantity, episode by episode; see `paired_difference`. The share
-    `level` of the best episodes is left out of the means, see `tail_mean`."""
+    """Compute the change of a quantity, episode by episode; see `paired_difference`.
+
+    The share `level` of the best episodes is left out of the means, see `tail_mean`.
+    """
     difference = paired_difference(before, after, level=level)
     first, second = (
         float(tail_mean(np.asarray(some, np.float64), level)) for some in (before, after)
@@ -88,8 +90,10 @@ def changes(
     before: Mapping[tuple[str, int], Numbers],
     after: Mapping[tuple[str, int], Numbers],
 ) -> list[Change]:
-    """Compute the changes of the objectives, then of the metrics to show. Metrics are by scenario
-    and seed. An episode that failed before or after is left out."""
+    """Compute the changes of the objectives, then of the metrics to show.
+
+    Metrics are by scenario and seed. An episode that failed before or after is left out.
+    """
     where = [each for each in before if before[each] and after.get(each)]
     found = []
     for objective in objectives:
@@ -122,8 +126,10 @@ def _count_late(
 
 
 def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change]) -> str:
-    """Summarise in a sentence whether the search has improved the settings. `chosen` is 0 for the
-    current settings, and `found` are the changes on unseen seeds."""
+    """Summarise in a sentence whether the search has improved the settings.
+
+    `chosen` is 0 for the current settings, and `found` are the changes on unseen seeds.
+    """
     names = set(map(str, objectives))
     if chosen == 0:
         return "No candidate beat the current settings."

@@ -176,9 +176,11 @@ _RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(:log|:whole|:log:whole)?")
 
 
 def parse_parameter(text: str, start: Value | None = None) -> Parameter:
-    """Parse a parameter: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`. `NAME` alone is the
-    range from a tenth to ten times its current value `start`. If that is a whole number, only whole
-    numbers are searched."""
+    """Parse a parameter: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`.
+
+    `NAME` alone is the range from a tenth to ten times its current value `start`. If that is a
+    whole number, only whole numbers are searched.
+    """
     name, separator, rest = (part.strip() for part in text.partition("="))
     # A bool is an int in Python, but no number to search between bounds.
     is_whole = isinstance(start, int) and not isinstance(start, bool)

@@ -292,8 +292,10 @@ class Study:
         return self.optimizer.ask()
 
     def _limits(self, generation: int) -> dict[tuple[str, int], float]:
-        """Compute the times after which episodes are stopped [s], from former generations. Empty
-        unless the objective contains a time."""
+        """Compute the times after which episodes are stopped [s], from former generations.
+
+        Empty unless the objective contains a time.
+        """
         objective, *others = self.search.objectives
         if others or not self.search.gives_up or not objective.is_about_time:
             return {}

@@ -170,8 +170,10 @@ def compare_on_unseen(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> TuningResult:
     """Compare a candidate with the current values on seeds that the search did not use.
+
     `on_progress` is called with the number of finished episodes, and of all. After Ctrl-C finished
-    episodes stay stored."""
+    episodes stay stored.
+    """
     found = study.evaluate((BEFORE, chosen.number), seeds, on_progress)
     return _result(study, chosen, found[BEFORE], found[chosen.number], is_complete=True)
 

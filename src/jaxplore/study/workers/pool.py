@@ -8,8 +8,10 @@ from jaxplore.study.workers.task import Task
 
 
 class Event(NamedTuple):
-    """A message from a worker, or the notice of its death with the reason in a few words. The
-    result is None from a worker that is ready without a task. `death` is None while it lives."""
+    """A message from a worker, or the notice of its death with the reason in a few words.
+
+    The result is None from a worker that is ready without a task. `death` is None while it lives.
+    """
 
     worker: int
     result: Any = None
@@ -26,8 +28,10 @@ class WorkerPool(abc.ABC):
 
     @abc.abstractmethod
     def start(self, example: Task) -> None:
-        """Start another worker, which reports when it is ready. It imports the modules of
-        `example`, a task like those to come, and does not run it."""
+        """Start another worker, which reports when it is ready.
+
+        It imports the modules of `example`, a task like those to come, and does not run it.
+        """
 
     @abc.abstractmethod
     def ping(self, worker: int) -> None:
@@ -47,9 +51,11 @@ class WorkerPool(abc.ABC):
 
 
 def limit_threads(number: int) -> None:
-    """Limit the threads of JAX in this process; call it before the first array is made. N processes
-    that each use all processors would slow each other down. Results do not depend on the number, to
-    the bit. Environment variables that are already set are kept."""
+    """Limit the threads of JAX in this process; call it before the first array is made.
+
+    N processes that each use all processors would slow each other down. Results do not depend on
+    the number, to the bit. Environment variables that are already set are kept.
+    """
     # XLA uses this variable as the number of processors.
     os.environ.setdefault("NPROC", str(number))
     # By default one process allocates most of a GPU's memory.

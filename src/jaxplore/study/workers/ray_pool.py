@@ -20,9 +20,11 @@ _CONNECT_TIMEOUT = 10.0
 
 
 class RayPool(WorkerPool):
-    """A pool of Ray actors with one processor each, which receive files with their tasks. The
-    number is that of the cluster's processors when None. Without an address a local cluster is
-    started, unless Ray is in use. All parts of a local one listen on 127.0.0.1 only."""
+    """A pool of Ray actors with one processor each, which receive files with their tasks.
+
+    The number is that of the cluster's processors when None. Without an address a local cluster is
+    started, unless Ray is in use. All parts of a local one listen on 127.0.0.1 only.
+    """
 
     def __init__(self, number: int | None, address: str | None) -> None:
         self._ray = import_optional("ray", "distributed")
@@ -154,10 +156,12 @@ class _Worker:
 
 @contextlib.contextmanager
 def _on_loopback() -> Iterator[None]:
-    """Bind all parts of a cluster that is started in the body to 127.0.0.1. They listen where Ray
-    takes this machine to be. For an address of 127.0.0.1 Ray looks up one that others can reach,
-    and then listens on all interfaces, unless clusters of several machines are turned off. They are
-    on Windows and macOS, and nobody else uses this cluster."""
+    """Bind all parts of a cluster that is started in the body to 127.0.0.1.
+
+    They listen where Ray takes this machine to be. For an address of 127.0.0.1 Ray looks up one
+    that others can reach, and then listens on all interfaces, unless clusters of several machines
+    are turned off. They are on Windows and macOS, and nobody else uses this cluster.
+    """
     constants = import_optional("ray._private.ray_constants", "distributed")
     with contextlib.ExitStack() as stack:
         # Ray has read the variable when it was imported; the programs that it starts will.

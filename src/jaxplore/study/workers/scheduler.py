@@ -26,7 +26,9 @@ class Scheduler:
 
     def run[T: Task](self, tasks: Sequence[T], on_result: Callable[[T, Any], None]) -> None:
         """Run tasks, and call `on_result` with each and its result, in the order of completion.
-        Workers that do not start raise a `ChildProcessError`."""
+
+        Workers that do not start raise a `ChildProcessError`.
+        """
         queue, deaths, running = _Queue(tasks), Counter[str](), dict[int, T]()
         self._ping_all()
         while queue or running:

@@ -19,8 +19,10 @@ allows 65530 and each program takes hundreds; without a free one the next compil
 
 
 class Task(abc.ABC):
-    """Work that can be sent to another process. Its fields must be picklable. The other process
-    imports its module by name."""
+    """Work that can be sent to another process.
+
+    Its fields must be picklable. The other process imports its module by name.
+    """
 
     @property
     @abc.abstractmethod
@@ -39,8 +41,10 @@ class Task(abc.ABC):
         return self.group
 
     def files(self) -> Mapping[str, Read]:
-        """Return functions that read the task's files, by a hash of their content. Another machine
-        receives the content once for each hash."""
+        """Return functions that read the task's files, by a hash of their content.
+
+        Another machine receives the content once for each hash.
+        """
         return {}
 
     def relocate(self, folders: Mapping[str, Path]) -> "Task":

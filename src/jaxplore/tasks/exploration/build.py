@@ -37,9 +37,11 @@ from jaxplore.tasks.robot import (
 
 
 def build_exploration(settings: Settings, map_shape: tuple[int, int] | None = None) -> Experiment:
-    """Build the experiment that settings describe. `map_shape` are the rows and columns of the
-    map's arrays, see `OccupancyGrid.pad`; they are chosen when None. The run does not depend on
-    them, but runs of one shape share a program."""
+    """Build the experiment that settings describe.
+
+    `map_shape` are the rows and columns of the map's arrays, see `OccupancyGrid.pad`; they are
+    chosen when None. The run does not depend on them, but runs of one shape share a program.
+    """
     robot = build_robot(settings.robot)
     world = build_world(settings, float(robot.radius))
     if map_shape is not None:
@@ -140,9 +142,11 @@ def _perception(
 
 
 def with_start(entries: dict[str, Any]) -> dict[str, Any]:
-    """Return settings entries with a start, where neither they nor the map have one. It is the
-    position with the greatest clearance, heading along x. A map without a place for the robot
-    raises a ValueError."""
+    """Return settings entries with a start, where neither they nor the map have one.
+
+    It is the position with the greatest clearance, heading along x. A map without a place for the
+    robot raises a ValueError.
+    """
     settings = make_exploration_settings(entries)
     if settings.start is not None or not is_ros_map(settings):
         return entries
@@ -151,8 +155,11 @@ def with_start(entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def choose_architectures(entries: dict[str, Any]) -> tuple[str, ...]:
-    """Return the architectures to compare by default. A portfolio is compared with the explorer.
-    Otherwise the quadrotor architectures that the map allows are compared."""
+    """Return the architectures to compare by default.
+
+    A portfolio is compared with the explorer. Otherwise the quadrotor architectures that the map
+    allows are compared.
+    """
     if make_exploration_settings(entries).architecture == "portfolio":
         return ("explorer", "portfolio")
     # The architectures below are those of a quadrotor, so its defaults apply.

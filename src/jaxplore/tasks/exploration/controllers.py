@@ -200,8 +200,10 @@ def _fusion(settings: Settings, goal: tuple[float, ...] | None) -> Fusion:
 
 
 def _uncertain_robot(scenario: ExplorationScenario, rate: float) -> UncertainRobot | None:
-    """Return the robot with the variance of its position; None if plans do not know it. `rate` is
-    that of the scans [Hz]."""
+    """Return the robot with the variance of its position; None if plans do not know it.
+
+    `rate` is that of the scans [Hz].
+    """
     known = scenario.localisation
     if known is None or known.certainty is None:
         return None

@@ -22,8 +22,10 @@ def has_others(settings: Settings) -> bool:
 
 
 def cost_of_others(settings: Settings) -> MovingObstacleCost | None:
-    """Return the cost of nearness to moving obstacles in a fleet; None without other robots. The
-    others tell where they drive, so there is no Gaussian around where they may be."""
+    """Return the cost of nearness to moving obstacles in a fleet; None without other robots.
+
+    The others tell where they drive, so there is no Gaussian around where they may be.
+    """
     if not has_others(settings):
         return None
     return MovingObstacleCost(nearness=None, clearance=2.0 * settings.robot.radius + ROOM)
@@ -36,8 +38,10 @@ def build_fleet(
     controller: Controller,
     datum: Datum,
 ) -> tuple[FleetController, Fleet]:
-    """Build the controller and the scenario of a fleet of equal robots from those of one robot. All
-    positions of the fleet are relative to the datum."""
+    """Build the controller and the scenario of a fleet of equal robots from those of one robot.
+
+    All positions of the fleet are relative to the datum.
+    """
     if settings.target not in (None, "coverage", "never"):
         raise ValueError(
             f"target is {settings.target!r}; accepted in a fleet: coverage, never: another robot "

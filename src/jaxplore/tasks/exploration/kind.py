@@ -25,8 +25,10 @@ from jaxplore.tasks.kind import Kind, Shown
 
 
 def read_map_entries(file: str, is_trusted: bool) -> Mapping[str, Any]:
-    """Return the entries of a run on a map, or in the world of a scenario. A scenario that names
-    code must be trusted."""
+    """Return the entries of a run on a map, or in the world of a scenario.
+
+    A scenario that names code must be trusted.
+    """
     named = {"map": str(Path(file).absolute())}
     if is_scenario_file(file):
         return {**named, **read_settings(file, is_trusted=is_trusted)}

@@ -23,8 +23,10 @@ _MEMBERS = 4
 
 
 class MapSize(NamedTuple):
-    """Rows and columns of the map of a run, and the side of a cell [m]. `pixels` is the number of
-    pixels of its image; 0 without one."""
+    """Rows and columns of the map of a run, and the side of a cell [m].
+
+    `pixels` is the number of pixels of its image; 0 without one.
+    """
 
     rows: float
     columns: float
@@ -35,8 +37,10 @@ class MapSize(NamedTuple):
 def estimate_exploration(
     settings: Settings, _: float = math.inf, node: NodeSettings | None = None
 ) -> tuple[Part, ...]:
-    """Estimate the memory of a run, part by part. `node` holds the settings of a drive, whose robot
-    makes a map of its own; None for a simulation."""
+    """Estimate the memory of a run, part by part.
+
+    `node` holds the settings of a drive, whose robot makes a map of its own; None for a simulation.
+    """
     parts = _exploration(settings, node)
     number = 1 if settings.fleet is None else settings.fleet.robots
     # Each robot has all of it, and a map of what it has heard of each other one.

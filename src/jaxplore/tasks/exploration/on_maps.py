@@ -47,8 +47,9 @@ def read_grid(
     path: str | os.PathLike[str], resolution: float, reading: Mapping[str, Any] | None = None
 ) -> OccupancyGrid:
     """Read a ROS map at the resolution of a run [m]; a finer one is resampled, a coarser one kept.
-    It is relative to its datum, as in a run. `reading` are arguments of
-    `OccupancyGrid.from_ros`."""
+
+    It is relative to its datum, as in a run. `reading` are arguments of `OccupancyGrid.from_ros`.
+    """
     grid = OccupancyGrid.from_ros(path, datum=map_datum(path), **(reading or {}))
     # The tolerance keeps a map from resampling when both resolutions differ by rounding only.
     is_finer = grid.resolution < resolution * (1.0 - 1e-6)

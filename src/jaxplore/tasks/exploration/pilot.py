@@ -48,9 +48,11 @@ NO_PART = (
 
 
 def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettings]:
-    """Check settings entries of a node: those of a run, and the section `node`. Entries that
-    describe a simulated world are not read. A node that chooses goals must get its pose from
-    another program."""
+    """Check settings entries of a node: those of a run, and the section `node`.
+
+    Entries that describe a simulated world are not read. A node that chooses goals must get its
+    pose from another program.
+    """
     run, node = part_node(entries)
     given = {name: value for name, value in run.items() if name not in NO_PART}
     if node.pose == "external":
@@ -82,8 +84,11 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
 
 
 def _check_parts(settings: Settings, node: NodeSettings) -> None:
-    """Check that no capability is given that the mode of the node would not use. A chooser of goals
-    has a map alone, and a robot on the path of another program goes nowhere of its own."""
+    """Check that no capability is given that the mode of the node would not use.
+
+    A chooser of goals has a map alone, and a robot on the path of another program goes nowhere of
+    its own.
+    """
     for each in CAPABILITIES:
         is_given = each.is_optional and each.find_section(settings) is not None
         if not is_given or node.mode == "control":
@@ -96,8 +101,10 @@ def _check_parts(settings: Settings, node: NodeSettings) -> None:
 
 
 def check_no_mount(settings: Settings, others: str) -> None:
-    """Check that settings neither move the lidar from the robot's centre nor turn it. Those
-    settings are for `jaxplore run`. `others` names what says where the lidar is instead."""
+    """Check that settings neither move the lidar from the robot's centre nor turn it.
+
+    Those settings are for `jaxplore run`. `others` names what says where the lidar is instead.
+    """
     for name in ("x", "y", "yaw_degrees", "is_turning"):
         value = getattr(settings.lidar, name)
         if value:
@@ -131,8 +138,10 @@ def build_goal_chooser(settings: Settings) -> GoalChooser:
 
 
 def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = True) -> Pilot:
-    """Build the pilot that settings describe. `is_obeyed` says whether the robot executes the
-    commands; it does not in a replay."""
+    """Build the pilot that settings describe.
+
+    `is_obeyed` says whether the robot executes the commands; it does not in a replay.
+    """
     localisation, settings = _localisation(settings, node)
     robot = build_robot(settings.robot)
     if "z" in robot.state_names:

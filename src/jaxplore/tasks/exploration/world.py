@@ -121,8 +121,10 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
 
 
 def _on_map(settings: Settings, radius: float) -> RunWorld:
-    """Build the world of a ROS map, with its height map if there is one. A start that is not given
-    is the position with the greatest clearance, heading along x."""
+    """Build the world of a ROS map, with its height map if there is one.
+
+    A start that is not given is the position with the greatest clearance, heading along x.
+    """
     given, ground, datum = settings.terrain, None, map_datum(settings.map)
     reading = arguments(settings.map_file, OccupancyGrid.from_ros)
     if given.height_map is None:

@@ -16,8 +16,10 @@ WIDE = 500
 
 
 def plan_path(settings: PathSettings) -> tuple[OccupancyGrid, Datum]:
-    """Return the corridor of a path, or a narrow band without one, and the datum. Cells are free
-    where the nearest point of the path is nearer than its narrower side."""
+    """Return the corridor of a path, or a narrow band without one, and the datum.
+
+    Cells are free where the nearest point of the path is nearer than its narrower side.
+    """
     import scipy.spatial  # slow to import, and few need it
 
     datum = ORIGIN if settings.path == TRACK else path_datum(settings.path)

@@ -12,8 +12,11 @@ from jaxplore.topics.content import MAP, Content
 
 
 class PathContent(Content):
-    """What is recorded of path following. Beside the commands, states and metrics these are the
-    course, the pose, the plan, rollouts and obstacles."""
+    """What is recorded of path following.
+
+    Beside the commands, states and metrics these are the course, the pose, the plan, rollouts and
+    obstacles.
+    """
 
     def write_start(self) -> None:
         """Write the course: the path, and the edges of its corridor."""

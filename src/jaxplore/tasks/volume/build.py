@@ -182,8 +182,10 @@ def _stamp(name: str) -> tuple[int, int, int]:
 def volume_size(
     settings: VolumeSettings, memory: float = MEMORY
 ) -> tuple[tuple[int, int, int], float]:
-    """Return the numbers of voxels of a run's volume along z, y and x, and their side [m]. A file
-    is read for them with at most `memory` [bytes], and no voxels are made."""
+    """Return the numbers of voxels of a run's volume along z, y and x, and their side [m].
+
+    A file is read for them with at most `memory` [bytes], and no voxels are made.
+    """
     if settings.volume not in GENERATED:
         return _size(min(memory, MEMORY), *_key(settings))
     width, height, depth = (
@@ -295,9 +297,11 @@ def _start(
 
 
 def with_start(entries: dict[str, Any]) -> dict[str, Any]:
-    """Return settings entries with a start, where neither they nor the volume have one. It is the
-    position with the greatest clearance, heading along x. A volume without a place for the robot
-    raises a ValueError."""
+    """Return settings entries with a start, where neither they nor the volume have one.
+
+    It is the position with the greatest clearance, heading along x. A volume without a place for
+    the robot raises a ValueError.
+    """
     settings = make_volume_settings(entries)
     if settings.start is not None or settings.volume in GENERATED:
         return entries

@@ -17,8 +17,10 @@ ARCHITECTURES = ("explorer", "nearest-cluster", "next-best-view", "gain-per-cost
 
 
 def plan_volume(settings: VolumeSettings) -> tuple[OccupancyGrid, Datum]:
-    """Return what is solid of each column of a volume, as seen from above, and the datum. The value
-    of a column is the share of its voxels that are solid, without floor and ceiling."""
+    """Return what is solid of each column of a volume, as seen from above, and the datum.
+
+    The value of a column is the share of its voxels that are solid, without floor and ceiling.
+    """
     world, datum = build_world(settings)
     solid = ~np.asarray(world.is_free)
     inside = solid[1:-1] if len(solid) > 2 else solid

@@ -10,9 +10,11 @@ from jaxplore.topics.content import MAP, Content
 
 
 class VolumeContent(Content):
-    """What is recorded of an exploration of a volume. Beside the commands, states and metrics these
-    are the pose, the plan, and the voxels that the robot knows to be occupied, without the
-    ceiling."""
+    """What is recorded of an exploration of a volume.
+
+    Beside the commands, states and metrics these are the pose, the plan, and the voxels that the
+    robot knows to be occupied, without the ceiling.
+    """
 
     def write_scene(self, frame: VolumeFrame) -> None:
         """Write the pose and the plan."""
