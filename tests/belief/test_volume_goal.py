@@ -1,5 +1,7 @@
 """The cost-to-go to a goal in a volume against Dijkstra's algorithm in double precision."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -34,13 +36,35 @@ def costs_of(half_open, wall_room, near, goal, position):
     numbers = (jnp.float32(each) for each in (REQUIRED, LEAST))
     ways = goal_roads(known, wall_room, *numbers, near, jnp.float32(FACTOR))
     costs = ways.lengths(ways.around(goal))
-    return costs, way_ahead(costs, ways, position)
+    field = ways.extend(costs, known.is_open).values
+    return costs, way_ahead(costs, ways, position), field
 
 
 def places() -> np.ndarray:
     """Return the positions (D, H, W, 3) of the nodes as (x, y, z)."""
     index = np.stack(np.indices(SHAPE), axis=-1)[..., ::-1]
     return ORIGIN.astype(np.float64) + SPACING * index
+
+
+def extended(costs: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return costs with values in closed nodes, node by node: four layers of the greatest value
+    beside known nodes, then four of the least one beside any."""
+    is_closed = ~np.isfinite(costs)
+    values = np.where(is_closed | ~known, np.nan, costs)
+    for choose in (max, min):
+        for _ in range(4):
+            before = values.copy()
+            for node in np.argwhere(is_closed):
+                beside = []
+                for axis, step in itertools.product(range(3), (-1, 1)):
+                    there = node.copy()
+                    there[axis] += step
+                    if 0 <= there[axis] < SHAPE[axis] and np.isfinite(before[tuple(there)]):
+                        beside.append(before[tuple(there)])
+                if np.isnan(before[tuple(node)]) and beside:
+                    values[tuple(node)] = choose(beside) + 2.0 * SPACING
+        values = np.where(is_closed, values, costs)
+    return np.where(np.isnan(values), 1e4, values)
 
 
 @settings(max_examples=20)
@@ -54,7 +78,7 @@ def test_the_cost_to_go_is_that_of_dijkstra(seed: int) -> None:
     at = places()
     low, high = at.reshape(-1, 3).min(axis=0), at.reshape(-1, 3).max(axis=0)
     goal = rng.uniform(low, high).astype(np.float32)
-    found, way = costs_of(half_open, wall_room, near, goal, goal + np.float32(0.1))
+    found, way, field = costs_of(half_open, wall_room, near, goal, goal + np.float32(0.1))
 
     passable = wall_room.astype(np.float64) >= np.float32(LEAST)
     nodes = passable[::2, ::2, ::2]
@@ -73,6 +97,8 @@ def test_the_cost_to_go_is_that_of_dijkstra(seed: int) -> None:
     )
     np.testing.assert_allclose(found, wanted, rtol=1e-5)
     assert np.hypot(*np.asarray(way)) <= 1.0 + 1e-5
+    costs = np.asarray(found, np.float64)
+    np.testing.assert_allclose(field, extended(costs, ~unknown), rtol=1e-5)
 
 
 @pytest.mark.long
@@ -85,14 +111,28 @@ def test_the_way_leads_through_the_door_and_not_to_the_goal_behind_the_wall() ->
     free = wall_room > 1.0
     here, goal = at[1, 1, 2], at[1, 1, 7]
     given = [np.asarray(each, np.float32) for each in (goal, here)]
-    costs, way = costs_of(free, wall_room, near, *given)
+    costs, way, _ = costs_of(free, wall_room, near, *given)
     assert float(costs[1, 1, 2]) > 2.0 * np.linalg.norm(goal - here)
     # Four nodes along y: the door is farther away than these.
     assert at[1, -1, 2][1] - here[1] > AHEAD * SPACING
     assert way[1] > 0.9 > way[0] >= 0.0
     # Without any open node there is no way.
-    _, way = costs_of(np.zeros(HALVES, bool), np.zeros(HALVES, np.float32), near, *given)
+    _, way, _ = costs_of(np.zeros(HALVES, bool), np.zeros(HALVES, np.float32), near, *given)
     np.testing.assert_array_equal(way, 0.0)
+
+
+@pytest.mark.parametrize("knows_behind", [False, True])
+def test_a_wall_does_not_attract_a_robot_that_has_a_long_way_around_it(knows_behind) -> None:
+    # Of the two sides of a wall across x the other one is much nearer to the goal.
+    wall_room = np.full(HALVES, 2.0, np.float32)
+    wall_room[:, :-2, 6:11] = 0.0
+    free = (wall_room > 1.0) & (knows_behind | (np.arange(HALVES[2]) < 8))
+    at = places()
+    given = [np.asarray(each, np.float32) for each in (at[1, 1, 7], at[1, 1, 1])]
+    costs, _, field = costs_of(free, wall_room, np.zeros(SHAPE, np.float32), *given)
+    assert costs[1, 1, 2] > costs[1, 1, 6] + 3.0
+    # Nodes 3 to 5 are closed: from the robot's side on the field rises into the wall.
+    assert (np.diff(np.asarray(field)[1, 1, 2:5]) > 0.0).all()
 
 
 BOX, SIDE = (12, 14, 16), 0.1

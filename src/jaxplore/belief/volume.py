@@ -434,7 +434,7 @@ class VolumePerception(eqx.Module):
         states, errand = belief.parts, belief.errand
         if errand is not None:
             states, errand, lengths = self._plan_errands(belief, roads, position)
-            is_due, way = errand.is_due, roads.extend(lengths)
+            is_due, way = errand.is_due, roads.extend(lengths, roads.is_open)
             guidance = jax.tree.map(functools.partial(jnp.where, is_due), way, guidance)
             views, attention = (jnp.where(is_due, 0.0, each) for each in (views, attention))
             if goal is not None and self.goal is not None:
@@ -538,7 +538,8 @@ class VolumePerception(eqx.Module):
         source, faces, facing = jax.lax.cond(~fits & is_near, look, lambda: (ends, *nothing))
         costs = ways.lengths(source)
         way = jnp.where(faces, facing, way_ahead(costs, ways, position))
-        return ways.extend(costs), dataclasses.replace(goal, way=way, place=place, fits=fits)
+        guidance = ways.extend(costs, roads.is_open)
+        return guidance, dataclasses.replace(goal, way=way, place=place, fits=fits)
 
     def _roll_window(self, belief: VolumeBelief, position: Float[Array, "3"]) -> VolumeBelief:
         """Return the belief with its window around the robot, if that is near a face of it."""

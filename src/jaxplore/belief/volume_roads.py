@@ -72,8 +72,17 @@ class VolumeRoads(eqx.Module):
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
         return self.extend(self.lengths(source))
 
-    def extend(self, lengths: Float[Array, "D H W"]) -> VolumeField:
-        """Return the cost-to-go of `lengths` [m] as a field, extended into closed nodes."""
+    def extend(
+        self, lengths: Float[Array, "D H W"], known: Bool[Array, "D H W"] | None = None
+    ) -> VolumeField:
+        """Return the cost-to-go of `lengths` [m] as a field, extended into closed nodes.
+
+        A closed node has the least cost beside it. With a mask of `known` nodes, at which the robot
+        may be, those near these have the greatest cost of them instead: the other side of a thin
+        wall may be much nearer to the goal, and a field that falls into a wall holds the robot.
+        """
+        if known is not None:
+            lengths = _extend_known(lengths, known, self.spacing)
         values = _extend(lengths, self.spacing)
         return VolumeField(values, self.origin, self.spacing, jnp.asarray(FAR))
 
@@ -120,13 +129,30 @@ def _dilate(mask: Bool[Array, "D H W"]) -> Bool[Array, "D H W"]:
 def _extend(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:
     """Return costs with values in closed nodes near open ones, so that they can be interpolated."""
     for _ in range(LAYERS):
-        wide = jnp.pad(costs, 1, constant_values=jnp.inf)
-        depth, height, width = costs.shape
-        near = jnp.full_like(costs, jnp.inf)
-        for axis in range(3):
-            for begin in (0, 2):
-                index = [slice(1, 1 + n) for n in (depth, height, width)]
-                index[axis] = slice(begin, begin + costs.shape[axis])
-                near = jnp.minimum(near, wide[tuple(index)])
+        near = _least_beside(costs)
         costs = jnp.where(jnp.isfinite(costs), costs, near + 2.0 * spacing)
     return jnp.where(jnp.isfinite(costs), jnp.minimum(costs, FAR), FAR)
+
+
+def _extend_known(
+    costs: Float[Array, "D H W"], known: Bool[Array, "D H W"], spacing: float
+) -> Float[Array, "D H W"]:
+    """Return costs with the greatest values of known nodes in the closed nodes near these."""
+    is_closed = ~jnp.isfinite(costs)
+    beside = jnp.where(known & ~is_closed, costs, -jnp.inf)
+    for _ in range(LAYERS):
+        near = -_least_beside(-beside)
+        beside = jnp.where(is_closed & (beside == -jnp.inf), near + 2.0 * spacing, beside)
+    return jnp.where(is_closed & (beside > -jnp.inf), beside, costs)
+
+
+def _least_beside(costs: Float[Array, "D H W"]) -> Float[Array, "D H W"]:
+    """Return the least cost of the six nodes beside each node."""
+    wide = jnp.pad(costs, 1, constant_values=jnp.inf)
+    near = jnp.full_like(costs, jnp.inf)
+    for axis in range(3):
+        for begin in (0, 2):
+            index = [slice(1, 1 + n) for n in costs.shape]
+            index[axis] = slice(begin, begin + costs.shape[axis])
+            near = jnp.minimum(near, wide[tuple(index)])
+    return near
