@@ -66,7 +66,14 @@ def node_options(command: Any) -> Any:
         "[default: control]",
     )
     # Click lists options in the reverse order of their addition.
-    for option in reversed((mode, NAMESPACE, *_drive_options("runs/drive"))):
+    session = click.option(
+        "--session",
+        type=click.Path(path_type=Path),
+        metavar="FOLDER",
+        help="Go on with the map, the pose graph and the settings that this folder keeps, and keep "
+        "them there.",
+    )
+    for option in reversed((mode, session, NAMESPACE, *_drive_options("runs/drive"))):
         command = option(command)
     return command
 
@@ -171,9 +178,10 @@ def node(**options: Any) -> None:
       jaxplore node --view --record drive.mcap
       jaxplore node --mode goal
       jaxplore node --namespace robot1
+      jaxplore node --session runs/office
 
-    Orders are texts on /jaxplore/command: start, pause, stop. Ctrl-C stops the robot and saves the
-    drive as a run folder.
+    Orders are texts on /jaxplore/command: start, explore, pause, return, save, stop. Ctrl-C stops
+    the robot and saves the drive as a run folder.
     """
     from jaxplore.cli._node import drive
 
