@@ -12,6 +12,7 @@ import jax
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore._limits import LONGEST_LATENCY
 from jaxplore._signals import stop_requests
+from jaxplore._text import short_repr
 from jaxplore.cli._entries import assign, assign_all, option_entries
 from jaxplore.cli._identify import read_motors
 from jaxplore.cli._memory import check_memory, memory_limit
@@ -19,17 +20,19 @@ from jaxplore.cli._show import free_name, reserve, show_starts
 from jaxplore.cli._terminal import say
 from jaxplore.cli._view_options import VIEW
 from jaxplore.onboard.pilot import Pilot
+from jaxplore.onboard.session import read_session_settings
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.recorder.recorder import McapRecorder, check_recording
 from jaxplore.report.console import progress_bar
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.report.folder import write_whole
+from jaxplore.report.folder import lock_folder, write_whole
 from jaxplore.report.table import print_table
 from jaxplore.ros import control, goal, robot
 from jaxplore.ros.link import connect
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
+from jaxplore.settings.code_names import check_trusted
 from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.readers import read_values
 from jaxplore.settings.ros_names import check_namespace
@@ -42,6 +45,7 @@ from jaxplore.tasks.exploration.pilot import (
     build_pilot,
     check_no_mount,
     make_node_settings,
+    open_session,
 )
 from jaxplore.tasks.exploration.settings import Settings
 from jaxplore.tasks.registry import build, find_kind, folder_name, make_settings
@@ -63,7 +67,10 @@ def drive(options: dict[str, Any]) -> None:
         return
     with ExitStack() as stack:
         monitors = _monitors(options, folder, stack)
-        pilot = build_pilot(settings, node)
+        if node.session is not None:
+            stack.enter_context(lock_folder(Path(node.session), "session"))
+        session = open_session(settings, node)
+        pilot = build_pilot(settings, node, session=session)
         recording = None
         # Connected first, so that other nodes are found while it compiles.
         link = stack.enter_context(connect(control.NODE, node.namespace))
@@ -110,6 +117,11 @@ def drive(options: dict[str, Any]) -> None:
 def replay_bag(bag: Path, options: dict[str, Any]) -> None:
     """Feed a recorded drive to the pilot, and write a run folder with its commands."""
     settings, node, folder = _drive_settings(options)
+    if node.session is not None:
+        raise ValueError(
+            f"setting node.session is {short_repr(node.session)} in a replay; accepted: none, for "
+            "nothing is driven"
+        )
     scan, pose = replay_topics(bag, options["scan_topic"], options["pose_topic"])
     pilot = build_pilot(settings, node, is_obeyed=False)
     say("Compiling, a few seconds ...", err=True)
@@ -138,8 +150,17 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
 
 def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Path]:
     limit = memory_limit(options)
-    file, out = options["settings_file"], options["out"]
-    entries = {} if file is None else read_settings(file, is_trusted=options["trust"])
+    file, out, session = (options.get(each) for each in ("settings_file", "out", "session"))
+    entries: dict[str, object] | None = None
+    if file is not None:
+        entries = read_settings(file, is_trusted=options["trust"])
+    elif session is not None:
+        entries = read_session_settings(session)
+        if entries is not None and not options["trust"]:
+            check_trusted(entries, session)
+    entries = {} if entries is None else entries
+    if session is not None:
+        assign(entries, "node.session", str(session))
     assign_all(entries, options["assignments"])
     for name in ("mode", "namespace"):
         if options.get(name) is not None:

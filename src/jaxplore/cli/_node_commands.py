@@ -55,6 +55,12 @@ _drive_options = add_options(
     help="Explore, follow the paths of another program, or publish goals that nav2 drives to.  "
     "[default: control]",
 )
+@path_option(
+    "--session",
+    metavar="FOLDER",
+    text="Go on with the map, the pose graph and the settings that this folder keeps, and keep them "
+    "there.",
+)
 @NAMESPACE
 @_drive_options
 @path_option(
@@ -78,9 +84,10 @@ def node(**options: Any) -> None:
       jaxplore node --view --record drive.mcap
       jaxplore node --mode goal
       jaxplore node --namespace robot1
+      jaxplore node --session runs/office
 
-    Orders are texts on /jaxplore/command: start, pause, stop. Ctrl-C stops the robot and saves the
-    drive as a run folder.
+    Orders are texts on /jaxplore/command: start, explore, pause, return, save, stop. Ctrl-C stops
+    the robot and saves the drive as a run folder.
     """
     from jaxplore.cli._node import drive
 

@@ -55,6 +55,10 @@ class PoseState(Protocol):
         """Standard deviation of the position [m]."""
 
     @property
+    def share(self) -> Scalar:
+        """How much of the newest scan fits what the robot knows, in [0, 1]."""
+
+    @property
     def scans(self) -> WayPoints:
         """Poses along the way, at scans that were stored."""
 

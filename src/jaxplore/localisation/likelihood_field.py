@@ -70,10 +70,25 @@ class LikelihoodField(eqx.Module):
             distance_std: standard deviation of the distance from a wall [m].
             outlier_share: least likelihood of a beam, that of one which fits nothing on the map.
         """
-        distance = jax.vmap(self.distance)(transform_points(pose, points))
+        distance = self.distances(pose, points)
         fit = jnp.exp(-0.5 * (distance / distance_std) ** 2)
         each = jnp.log((1.0 - outlier_share) * fit + outlier_share)
         return jnp.where(is_counted, each, 0.0).sum()
+
+    def distances(self, pose: Pose, points: Points) -> Float[Array, " B"]:
+        """Return the distances (B,) of the ends of beams from walls, seen from a pose [m].
+
+        Args:
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+            points: ends (B, 2) of beams, in the frame of the robot [m].
+        """
+        return jax.vmap(self.distance)(transform_points(pose, points))
+
+    @property
+    def is_free(self) -> GridMask:
+        """Mask (H, W) of the free cells."""
+        before = jnp.concatenate([jnp.zeros(1, jnp.int32), self.free_before[:-1]])
+        return (self.free_before > before).reshape(self.distance.values.shape)
 
     def random_poses(self, number: int, key: Key) -> Poses:
         """Return poses (number, 3) that are uniform over the free cells and all yaws.

@@ -27,6 +27,8 @@ FLOOR = (0.002, 0.002, 0.0005)
 """Least standard deviations of a motion between stored scans [m, m, rad]: errors of the map."""
 MOST_CLOSURES = 2048
 """Greatest number of closed loops."""
+AROUND = 64
+"""Number of stored scans that a robot takes for its surroundings where it finds itself again."""
 SPARE = 64
 """Number of scans for which there must be room; otherwise every second one is left out."""
 
@@ -241,6 +243,43 @@ class Localiser(PoseEstimator):
             scans=stored,
             covariance=jnp.where(is_due, floor(), state.covariance),
             drift=jnp.where(is_due & ~is_first, drift, state.drift),
+        )
+
+    @_kinds.check_arguments
+    def start_at(
+        self, state: LocaliserState, pose: Pose, covariance: Matrix, sensors: Sequence[Beams]
+    ) -> LocaliserState:
+        """Return the state of a robot that has found itself on the map that it made before.
+
+        The next scans are matched to the surfaces of the stored scans around it, which are made
+        anew. The way from the newest of these to the next one that is stored is an edge of the pose
+        graph, as exact as the pose that was found.
+
+        Args:
+            state: state when it was there last.
+            pose: pose (x, y, yaw) that was found [m, m, rad].
+            covariance: its covariance (3, 3), in the world.
+            sensors: the sensors.
+        """
+        stored = state.scans
+        away = jnp.hypot(*jnp.unstack(stored.poses[:, :2] - pose[:2], axis=1))
+        is_stored = jnp.arange(stored.capacity) < stored.number
+        away = jnp.where(is_stored & (away <= sensors[0].max_range), away, jnp.inf)
+        nearest, indices = jax.lax.top_k(-away, min(AROUND, stored.capacity))
+        shape: tuple[int, int] = state.surface.sums.shape  # type: ignore[assignment]
+        empty = SurfaceMap.empty(state.surface.frame, shape, self.memory)
+
+        def add(at: Count, surface: SurfaceMap) -> SurfaceMap:
+            index = indices[at]
+            ends = self.end_points(stored.scan(index, sensors)[0], sensors[0])
+            # As if they were seen just now.
+            return surface.with_scan(stored.poses[index], self._fill(ends, sensors[0]), state.way)
+
+        number = jnp.sum(jnp.isfinite(nearest), dtype=jnp.int32)
+        surface: SurfaceMap = jax.lax.fori_loop(0, number, add, empty)
+        errors = None if state.errors is None else state.errors.uncouple()
+        return state._replace(
+            pose=pose, covariance=covariance + floor(), surface=surface, errors=errors
         )
 
     def surface_of(

@@ -108,6 +108,11 @@ class ParticleState(NamedTuple):
         return self.found.is_converged
 
     @property
+    def share(self) -> Scalar:
+        """Fast mean of how well scans fit the map, in [0, 1]."""
+        return self.particles.fast
+
+    @property
     def uncertainty(self) -> Scalar:
         """Standard deviation of the position [m], the root of the mean of its variances along x
         and y: of the heaviest cluster, or of all particles if the filter has not converged."""
@@ -228,6 +233,30 @@ class ParticleLocaliser(PoseEstimator):
             StoredPoses.none(self.capacity),
             kept,
             none,
+        )
+
+    @_kinds.check_arguments
+    def start_around(
+        self, state: ParticleState, pose: Pose, position_std: Scalar, yaw_std: Scalar
+    ) -> ParticleState:
+        """Return the state of a robot that is told where it is, on the same map.
+
+        Args:
+            state: state before.
+            pose: pose (x, y, yaw) [m, m, rad].
+            position_std: standard deviation of the position, along x and y [m].
+            yaw_std: standard deviation of the yaw [rad].
+        """
+        stds = jnp.stack([position_std, position_std, yaw_std])
+        kept, drawn = jax.random.split(state.key)
+        particles = self.filter.init_around(pose, jnp.diag(stds * stds), drawn)
+        return state._replace(
+            particles=particles,
+            found=self.filter.estimate(particles),
+            motion=jnp.zeros(3),
+            covariance=jnp.zeros((3, 3)),
+            elapsed=jnp.zeros(()),
+            key=kept,
         )
 
     @_kinds.check_arguments

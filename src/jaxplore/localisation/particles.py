@@ -292,7 +292,7 @@ class ParticleFilter(eqx.Module):
         """
         number = self.num_particles
         keys = jax.random.split(key, 3)
-        points, is_counted = self._select_ends(points, is_return)
+        points, is_counted = self.select_ends(points, is_return)
         logs = self.log_likelihoods(particles.poses, points, is_counted, field)
         # A pose that is not finite has no likelihood, and is replaced below.
         is_lost = ~jnp.isfinite(particles.poses).all(axis=1)
@@ -351,11 +351,11 @@ class ParticleFilter(eqx.Module):
         number = min(CANDIDATES, self.num_particles)
         evenly = (jnp.arange(number, dtype=jnp.float32) + 0.5) / number
         chosen = poses[indices_at(weights, evenly)]
-        in_each = jax.vmap(self._is_near, in_axes=(None, 0))(poses, chosen)
+        in_each = jax.vmap(self.is_near, in_axes=(None, 0))(poses, chosen)
         mass = jnp.where(in_each, weights, 0.0).sum(axis=1)
         heaviest = jnp.argmax(mass)
         centre = _mean_pose(poses, jnp.where(in_each[heaviest], weights, 0.0), chosen[heaviest])
-        members = jnp.where(self._is_near(poses, centre), weights, 0.0)
+        members = jnp.where(self.is_near(poses, centre), weights, 0.0)
         pose = _mean_pose(poses, members, centre)
         share = members.sum()
         away = jnp.where((members > 0.0)[:, None], poses - pose, 0.0)
@@ -385,10 +385,15 @@ class ParticleFilter(eqx.Module):
         weights = jax.nn.softmax(logs)
         return poses[low_variance_indices(weights, jax.random.uniform(keys[1], ()))]
 
-    def _select_ends(
+    def select_ends(
         self, points: Points, is_return: Bool[Array, " B"]
     ) -> tuple[Float[Array, "M 2"], Bool[Array, " M"]]:
-        """Return the ends of the beams that count, and the mask of those that are valid."""
+        """Return the ends (M, 2) of the beams that count, and the mask of those that are valid.
+
+        Args:
+            points: ends (B, 2) of all beams of a scan [m].
+            is_return: mask (B,) of those that returned.
+        """
         chosen = np.linspace(0, len(points) - 1, min(self.num_beams, len(points))).round()
         index = chosen.astype(np.int32)
         points, is_counted = points[index], is_return[index]
@@ -399,8 +404,13 @@ class ParticleFilter(eqx.Module):
         """Return a running mean after a scan, of which some beams must count."""
         return jnp.where(count > 0, mean + rate * (fit - mean), mean)
 
-    def _is_near(self, poses: Poses, centre: Pose) -> Bool[Array, " K"]:
-        """Return the mask of the poses that belong to the cluster around a pose."""
+    def is_near(self, poses: Poses, centre: Pose) -> Bool[Array, " K"]:
+        """Return the mask (K,) of the poses that belong to the cluster around a pose.
+
+        Args:
+            poses: poses (K, 3) [m, m, rad].
+            centre: the pose around which the cluster is.
+        """
         away = poses - centre
         distance = jnp.hypot(away[:, 0], away[:, 1])
         turn = jnp.abs(wrap_angle(away[:, 2]))

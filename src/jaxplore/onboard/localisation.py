@@ -28,27 +28,44 @@ from jaxplore.sensing.beams import Scan
 class MapPoses:
     """Turns poses of the odometry into poses relative to the origin of the belief.
 
-    The origin is near the first position. Where the robot localises itself, `is_internal`, an
-    odometry that jumps is joined to where the robot's velocity led, so that only increments of it
-    count, and a correction says where the odometry is in the map.
+    The origin is near the first position, or at `offset` (2,) in the frame of the map where that is
+    known before [m]; `is_shared` is whether the poses are in that frame too. Where the robot
+    localises itself, `is_internal`, an odometry that jumps is joined to where the robot's velocity
+    led, so that only increments of it count, and a correction says where the odometry is in the
+    map.
 
     `joint` (3,) joins the odometry after its jumps to the one before them. It is another array
     after each jump, and None where the odometry is taken as it is.
     """
 
-    def __init__(self, history: PoseHistory, cell: float, *, is_internal: bool) -> None:
+    def __init__(
+        self,
+        history: PoseHistory,
+        cell: float,
+        *,
+        is_internal: bool,
+        offset: np.ndarray | None = None,
+        is_shared: bool = False,
+    ) -> None:
         self._history, self._cell = history, cell
         self.joint = np.zeros(3) if is_internal else None
         self._sound: Placed | None = None
-        self._has_origin = False
-        self.offset = np.zeros(2)
+        # Where the poses of the odometry count from, and where that is in the frame of the map.
+        self._origin = offset if is_shared else None
+        self._offset = offset
+
+    @property
+    def offset(self) -> np.ndarray:
+        """Position (2,) of the origin of the belief in the frame of the map [m]."""
+        if self._offset is not None:
+            return self._offset
+        return np.zeros(2) if self._origin is None else self._origin
 
     def add(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> str | None:
         """Add a pose (3,) of the odometry to the history, see `PoseHistory.add`."""
-        if not self._has_origin:
-            self._has_origin = True
+        if self._origin is None:
             # Whole cells, so that maps of several drives have the same grid lines.
-            self.offset = self._cell * np.round(np.asarray(pose[:2], np.float64) / self._cell)
+            self._origin = self._cell * np.round(np.asarray(pose[:2], np.float64) / self._cell)
         problem = self._history.add(time, pose, twist)
         last = self._history.last
         assert last is not None
@@ -71,7 +88,8 @@ class MapPoses:
             self.joint = compose(compose(self.joint, before), inverse(after))
 
     def _shift(self, pose: np.ndarray) -> np.ndarray:
-        return np.asarray(pose - np.append(self.offset, 0.0))
+        origin = np.zeros(2) if self._origin is None else self._origin
+        return np.asarray(pose - np.append(origin, 0.0))
 
     def reckon(self, pose: np.ndarray) -> np.ndarray:
         """Return a pose (3,) of the odometry relative to the origin, without jumps."""
@@ -98,6 +116,12 @@ class MapPoses:
         if correction is None:
             return pose
         return np.asarray(self.place(pose, correction) + np.append(self.offset, 0.0))
+
+    def correction_of(self, transform: np.ndarray) -> np.ndarray:
+        """Return the correction (3,) with which `in_map` gives a transform, for the pose 0."""
+        origin = np.zeros(2) if self._origin is None else self._origin
+        moved = compose(transform, np.append(origin, 0.0))
+        return np.asarray(moved - np.append(self.offset, 0.0))
 
 
 class ScanMotions:

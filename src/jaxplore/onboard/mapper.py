@@ -7,11 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxplore._types import ArrayLike
 from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.localisation.localiser import Localiser, LocaliserState, thin_scans
+from jaxplore.localisation.particle_localiser import ParticleLocaliser
 from jaxplore.onboard import steps
+from jaxplore.onboard.finding import Finder
 from jaxplore.onboard.localisation import (
     ScanMotions,
     close_any,
@@ -21,7 +24,8 @@ from jaxplore.onboard.localisation import (
     scan_room,
 )
 from jaxplore.onboard.log import DriveLog
-from jaxplore.robot.localisation import Localisation, Motions
+from jaxplore.onboard.session import Session, with_arrays
+from jaxplore.robot.localisation import Localisation, Motions, PoseKnowledge
 from jaxplore.robot.robot import FITTING, RobotState
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -58,12 +62,16 @@ class Mapper:
     """Keeps what a robot knows on a drive up to date, see `Robot`.
 
     With a localisation, scans are mapped where they say that the robot is, and at its rate loops
-    are closed; without one the pose is given. The log notes when cells became known. `add` and
-    `distrust` may be called from another thread than the other methods.
+    are closed; without one the pose is given. The log notes when cells became known. `add`,
+    `distrust` and `tell` may be called from another thread than the other methods.
+
+    On a map that the robot knows, which its session has kept, or of the scenario for a
+    localisation on known maps, it first finds itself (`Finder`), with `localiser` for a session.
+    Until then nothing is mapped, and `lost` says why the robot must not drive. Afterwards a
+    `Localiser` goes on from there, and a pose that is given is moved by what was found.
 
     `known` has what the robot knows and the correction of its odometry, which change together.
-    `is_misfit` is whether the newest scan contradicted the map. A localisation on a known map,
-    which a robot has none of here, raises a `ValueError`.
+    `is_misfit` is whether the newest scan contradicted the map.
     """
 
     def __init__(
@@ -71,12 +79,11 @@ class Mapper:
         scenario: ExplorationScenario,
         log: DriveLog,
         localisation: Localisation | None = None,
+        *,
+        session: Session | None = None,
+        localiser: ParticleLocaliser | None = None,
+        is_apart: bool = False,
     ) -> None:
-        if localisation is not None and not isinstance(localisation.localiser, Localiser):
-            raise ValueError(
-                f"localisation has a {type(localisation.localiser).__name__}; accepted on a robot: "
-                "a Localiser, which makes its map"
-            )
         self._period = scenario.period
         self._scan_period = float(scenario.rates.since_scan)
         self._field_period = float(scenario.rates.since_fields)
@@ -92,7 +99,27 @@ class Mapper:
             own = own._replace(
                 place=localisation.init(self._start, own.belief.grid, self._robot.sensors, None)
             )
-        self.known = Known(own, None if localisation is None else np.zeros(3))
+        self._finder: Finder | None = None
+        is_known_map = localisation is not None and not localisation.localiser.is_mapping
+        resumed = None if session is None else session.kept
+        if session is not None and resumed is not None:
+            session.check(own)
+            own = with_arrays(own, resumed.arrays)
+            grid = own.belief.grid.with_probability(on_device(resumed.arrays["map"]))
+            own = own._replace(belief=steps.with_map(scenario.perception, own.belief, grid))
+        if is_known_map:
+            assert localisation is not None
+            localiser = localisation.localiser  # type: ignore[assignment]
+        if resumed is not None or is_known_map:
+            localiser = ParticleLocaliser() if localiser is None else localiser
+            self._finder = Finder(
+                localiser, scenario.sensors[0], own.belief.grid, jax.random.key(0)
+            )
+        self._expected: list[np.ndarray] = []
+        self._predicted: np.ndarray | None = None
+        # A pose that is given is that in the map, but for a session that was resumed elsewhere.
+        self._moved = np.zeros(3) if is_apart else None
+        self.known = Known(own, self._moved if localisation is None else np.zeros(3))
         self._motions = ScanMotions()
         self._due: _Due | None = None
         self._instruments = {
@@ -102,7 +129,7 @@ class Mapper:
         self._origin: np.ndarray | None = None
         self._has_places = bool(scenario.perception.parts)
         self._closed: np.ndarray | None = None
-        self._is_distrusted = self.is_misfit = False
+        self._is_distrusted = self.is_misfit = self._is_found = self._is_astray = False
         self._taken_at = self._mapped_at = self._derived_at = self._closed_at = -math.inf
 
     @property
@@ -115,6 +142,32 @@ class Mapper:
         """Pose (3,) of the odometry in the map; None where they are the same."""
         return self.known.correction
 
+    @property
+    def finds_itself(self) -> bool:
+        """Whether the robot begins on a map that it knows, at a place that it does not."""
+        return self._finder is not None
+
+    @property
+    def lost(self) -> str:
+        """Why the robot must not drive as long as it does not know where it is; empty else."""
+        return "" if self._finder is None or self._is_found else self._finder.reason
+
+    def expect(self, pose: np.ndarray, correction: np.ndarray) -> None:
+        """Take the newest pose (3,) of the lidar in a session, and that of the odometry in the map
+        for the case that the odometry has gone on meanwhile, see `Finder.take`."""
+        self._expected, self._predicted = [pose], correction
+
+    def tell(self, pose: np.ndarray) -> None:
+        """Take a pose (3,) of the lidar, relative to the origin of the belief [m, m, rad], at which
+        somebody says that the robot is; a robot that knows its map alone is no `ValueError`."""
+        if self._finder is None:
+            raise ValueError(
+                "a pose is given to a robot that makes its map; accepted: with node.map, or while "
+                "it finds itself on the map of a session"
+            )
+        self._finder.tell(pose)
+        self._is_found = False
+
     def prepare(self, perception: Perception) -> None:
         """Compile what the other methods call; to close loops without GTSAM is a `ValueError`."""
         robot, own = self._robot._replace(perception=perception), self.known.own
@@ -126,6 +179,10 @@ class Mapper:
             steps.look(part, own.belief, second, second)
         if localisation is not None:
             motions = Motions(jnp.zeros((2, 3)), jnp.ones((), jnp.int32), second)
+        if self._finder is not None:
+            self._finder.prepare()
+            if own.place is not None and isinstance(own.place.known, LocaliserState):
+                self._start_at(own.place, np.zeros(3), np.eye(3))
         inputs = steps.MapInputs(pose, scan, second, motions)
         own, _ = steps.map_scan(robot, own, inputs)
         jax.block_until_ready(steps.update_fields(robot, own, pose, second))  # type: ignore[no-untyped-call]
@@ -210,6 +267,9 @@ class Mapper:
         due, self._due = self._due, None
         if due is None:
             return
+        if self._finder is not None and not self._is_found:
+            self._find(self._finder, perception, due)
+            return
         own, robot = self.known.own, self._robot._replace(perception=perception)
         if self._is_distrusted:
             self._is_distrusted, own = False, own._replace(unfit=self._no_misfit)
@@ -218,18 +278,19 @@ class Mapper:
             if not (np.isfinite(due.pose).all() and np.isfinite(np.asarray(due.scan.ranges)).all()):
                 # Nothing is measured, and the motion is a part of the next one.
                 return
-            if self._motions.is_first:
+            if self._motions.is_first and isinstance(own.place.known, LocaliserState):
                 # The first scan says where the map begins.
                 own = own._replace(place=replace_known(own.place, pose=due.pose))
             motions = self._motions.add(due.time, due.pose, due.joint)
         is_first = not math.isfinite(self._mapped_at)
         elapsed = self._scan_period if is_first else due.time - self._mapped_at
-        given = (due.pose.astype(np.float32), due.scan, np.float32(elapsed))
+        given_pose = due.pose if self._moved is None else compose(self._moved, due.pose)
+        given = (given_pose.astype(np.float32), due.scan, np.float32(elapsed))
         pose, scan, since = jax.device_put(given)
         own, is_free = steps.map_scan(robot, own, steps.MapInputs(pose, scan, since, motions))
         self._log.add_known(due.now, np.asarray(is_free))
         self.is_misfit = bool(np.asarray(own.unfit) >= 0.0)
-        correction = None
+        correction = self._moved
         if robot.localisation is not None:
             own = self._close_loops(robot.localisation, perception, own, due)
             assert own.place is not None
@@ -238,6 +299,57 @@ class Mapper:
             correction = compose(pose, inverse(due.pose))
         self.known = Known(own, correction, due.time)
         self._mapped_at = due.time
+        if self._is_lost(own):
+            # A robot that was carried away looks for itself on its whole map.
+            assert self._finder is not None
+            self._finder.begin()
+            self._expected, self._predicted = [], None
+            self._is_found, self._is_astray = False, True
+
+    @staticmethod
+    def _is_lost(own: RobotState) -> bool:
+        """Check whether a robot on a known map does not know where it is."""
+        if own.place is None or isinstance(own.place.known, LocaliserState):
+            return False
+        return not bool(np.asarray(own.place.known.is_known))
+
+    def _find(self, finder: Finder, perception: Perception, due: _Due) -> None:
+        """Let the robot find itself by a scan; begin there once the pose is certain."""
+        if not (np.isfinite(due.pose).all() and np.isfinite(np.asarray(due.scan.ranges)).all()):
+            return
+        motions = self._motions.add(due.time, due.pose, due.joint)
+        went_on = [] if self._predicted is None else [compose(self._predicted, due.pose)]
+        found = finder.take(due.time, motions, due.scan, [*self._expected, *went_on])
+        if found is None:
+            return
+        pose, own = np.asarray(found.pose, np.float64), self.known.own
+        correction = compose(pose, inverse(due.pose))
+        if self._is_astray:
+            # What was mapped since the robot was carried away may be at a wrong place.
+            own = own._replace(belief=steps.with_map(perception, own.belief, self._prior))
+        if own.place is None:
+            self._moved = correction
+        elif isinstance(own.place.known, LocaliserState):
+            own = own._replace(place=self._start_at(own.place, pose, found.found.covariance))
+        else:
+            own = own._replace(place=PoseKnowledge(found, None))
+        own = own._replace(unfit=self._no_misfit)
+        self._log.add_known(due.now, np.asarray(steps.free_cells(own.belief)))
+        self.known = Known(own, correction, due.time)
+        self._mapped_at, self.is_misfit, self._is_astray = due.time, False, False
+        self._is_found = True
+
+    def _start_at(
+        self, place: PoseKnowledge, pose: np.ndarray, covariance: ArrayLike
+    ) -> PoseKnowledge:
+        """Return what a robot knows of its pose that has found itself on its own map."""
+        localisation, known = self._robot.localisation, place.known
+        assert localisation is not None
+        assert isinstance(localisation.localiser, Localiser)
+        assert isinstance(known, LocaliserState)
+        given = jax.device_put((pose.astype(np.float32), np.asarray(covariance, np.float32)))
+        after = steps.start_at((localisation.localiser, self._robot.sensors[0]), known, *given)
+        return place._replace(known=after)
 
     def _take_places(self, perception: Perception) -> None:
         """Place the parts in the map, once its origin is known."""

@@ -16,6 +16,7 @@ from jaxplore.control.validation import StopCheck
 from jaxplore.costs.occlusion import OcclusionCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.goal import Motion
+from jaxplore.localisation.particle_localiser import ParticleLocaliser
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
 from jaxplore.onboard.drive_clock import DriveClock, Instant, Stamps
@@ -32,6 +33,7 @@ from jaxplore.onboard.scan_points import (
     lidar_pose,
     no_points,
 )
+from jaxplore.onboard.session import Kept, LastPlace, Session, name_arrays
 from jaxplore.onboard.tasks import DriveTask, Exploring, TaskControl
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -108,6 +110,9 @@ class Pilot:
     to the first position. With a localisation only the increments of the odometry count, and
     positions are in the frame of the map, which at the start is that of the odometry.
 
+    On a map that it knows, of a session or of a localisation on known maps, the robot stands until
+    it has found itself (`Finder`), and says so. Then positions are in the frame of that map.
+
     Args:
         scenario: robot, sensor, perception and rates. Its world is not read; its arrays are those
             of the pilot's map, which is centred on the first position.
@@ -116,8 +121,13 @@ class Pilot:
         options: numbers of the pilot; the defaults when absent.
         task: what the robot drives for; exploration when absent.
         localisation: how the robot finds its pose in its map, of which the localiser and what
-            closes loops are used; the odometry is taken as true when absent.
+            closes loops are used; the odometry is taken as true when absent. With a
+            `ParticleLocaliser` the map is the prior of the scenario.
         occlusion: cost whose speeds hold near places that can hide somebody, see `MotionGuard`.
+        session: what the robot goes on with, and where `snapshot` is kept; nothing when absent.
+        finder: finds the robot on the map of a session; a `ParticleLocaliser` when absent.
+        is_map_known: whether the prior of the scenario is a known map, relative to the datum. With
+            a `ParticleLocaliser` the robot finds itself on it; else poses are in its frame.
 
     Raises:
         ValueError: an argument of another class, a scenario with several sensors.
@@ -133,6 +143,9 @@ class Pilot:
         task: DriveTask | None = None,
         localisation: Localisation | None = None,
         occlusion: OcclusionCost | None = None,
+        session: Session | None = None,
+        finder: ParticleLocaliser | None = None,
+        is_map_known: bool = False,
     ) -> None:
         _kinds.key("key", key)
         if len(scenario.sensors) != 1:
@@ -161,8 +174,26 @@ class Pilot:
         # When the instruments of parts last measured; a part does without until they have.
         parts = scenario.perception.parts
         self._measured_at = {part.name: -math.inf for part in parts if part.has_instrument}
-        self._poses = MapPoses(self._history, scenario.cell_size, is_internal=is_internal)
-        self._mapper = Mapper(scenario, self.log, localisation)
+        self.session = session
+        resumed = None if session is None else session.kept
+        # On a known map the robot comes back to where it found itself.
+        self._home: np.ndarray | None = None if is_map_known else np.zeros(2)
+        offset = scenario.datum.offset if is_map_known else None
+        if resumed is not None:
+            self._home, offset = resumed.home, resumed.offset
+            self.task.set_home(resumed.home)
+        self._poses = MapPoses(
+            *(self._history, scenario.cell_size),
+            is_internal=is_internal,
+            offset=offset,
+            is_shared=is_map_known and not is_internal and session is None,
+        )
+        self._mapper = Mapper(
+            *(scenario, self.log, localisation),
+            session=session,
+            localiser=finder,
+            is_apart=session is not None and not is_internal,
+        )
         self._known = self._mapper.known
         self._first_memory: Any = controller.init()
         self._memory: Any = self._first_memory
@@ -203,6 +234,49 @@ class Pilot:
     def correction(self) -> np.ndarray:
         """Pose (3,) of the frame of the odometry in that of the map; 0 without a localisation."""
         return self._poses.in_map(np.zeros(3), self._mapper.correction)
+
+    @property
+    def has_map_frame(self) -> bool:
+        """Whether the frame of the map is another one than that of the odometry."""
+        return self._mapper.correction is not None
+
+    @property
+    def finds_itself(self) -> bool:
+        """Whether the robot begins on a map that it knows, at a place that it does not."""
+        return self._mapper.finds_itself
+
+    @property
+    def lost(self) -> str:
+        """Why the robot must not drive as long as it does not know where it is; empty else."""
+        return self._mapper.lost
+
+    def tell_pose(self, pose: np.ndarray) -> None:
+        """Take a pose (3,) in the frame of the map at which somebody says that the robot is.
+
+        Scans must fit there before it drives.
+
+        Raises:
+            ValueError: a pose that is not finite, a robot that does not find itself on a map.
+        """
+        given = np.asarray(_checks.pose("pose", pose), np.float64)
+        local = given - np.append(self.offset, 0.0)
+        self._mapper.tell(lidar_pose(local, self.options.lidar_x, self.options.lidar_y))
+
+    def snapshot(self) -> Kept | None:
+        """Return what a session keeps; None before the first scan, and while the robot is lost."""
+        known, home = self._mapper.known, self._home
+        if self._mapper.lost or home is None or not math.isfinite(known.time):
+            return None
+        return Kept(name_arrays(known.own), self.offset, home)
+
+    def last_place(self) -> LastPlace | None:
+        """Return where the robot is, for its session; None where `snapshot` is."""
+        known, last = self._mapper.known, self._history.last
+        if last is None or self._mapper.lost or not math.isfinite(known.time):
+            return None
+        place = self._poses.place(last.pose, known.correction)
+        pose = lidar_pose(place, self.options.lidar_x, self.options.lidar_y)
+        return LastPlace(pose, self._poses.in_map(np.zeros(3), known.correction))
 
     @property
     def finished(self) -> str:
@@ -248,6 +322,9 @@ class Pilot:
         problem = self._poses.add(time, pose, twist)
         if is_first:
             self._mapper.locate(self._poses.offset)
+            if self.session is not None and self.session.place is not None:
+                former = self.session.place
+                self._mapper.expect(former.pose, self._poses.correction_of(former.transform))
         if problem is not None:
             self._data.add_jump(problem)
 
@@ -336,6 +413,7 @@ class Pilot:
             self._mapper.distrust()
         if self._clock.is_standing:
             is_trusted, problem = False, "the simulated clock stands still"
+        problem = problem or self._mapper.lost
         problem = problem or self._instrument_problem(now) or self._place_problem()
         scan_time = self._take_scan(now) if is_trusted else None
         if self._finished:
@@ -421,7 +499,13 @@ class Pilot:
         time = self._clock.time_at(Instant.of(now))
         perception, last = self.task.perception, self._history.last
         self._mapper.map_scan(perception)
-        if last is None or not self.task.has_fields:
+        if last is None or self._mapper.lost:
+            return
+        if self._home is None:
+            self._home = self._poses.place(last.pose, self._mapper.correction)[:2]
+            self.task.set_home(self._home)
+            perception = self.task.perception
+        if not self.task.has_fields:
             return
         pose = self._poses.place(last.pose, self._mapper.correction)
         # Where the clock has jumped since the command, the fields wait for the next one.
@@ -580,7 +664,8 @@ class Pilot:
     def _ramp_down(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
         """Return the next command of a ramp to zero."""
         self._twist = self.options.slower(self._twist, min(elapsed, 2.0 * self.period))
-        if self._history.last is not None:
+        # Where a robot is that does not know it is no part of its way.
+        if self._history.last is not None and not self._mapper.lost:
             state = self._state(now)
             # From here on the robot is expected to be as fast as it is told.
             pose = self._local(self._history.last.pose)

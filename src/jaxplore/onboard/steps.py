@@ -29,9 +29,16 @@ from jaxplore.control.guard import MotionGuard, ScanPoints
 from jaxplore.control.latency import predict_state
 from jaxplore.control.stops import Evidence, StopState, next_stop
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.motion import Matrix
+from jaxplore.localisation.localiser import Localiser, LocaliserState
+from jaxplore.localisation.particle_localiser import ParticleLocaliser, ParticleState
+from jaxplore.localisation.place_search import Places, share_at_walls
+from jaxplore.localisation.place_search import search_places as search_map
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.robot.decision import Driver
-from jaxplore.robot.localisation import Motions, correct_state
+from jaxplore.robot.localisation import Localisation, Motions, PoseKnowledge, correct_state
 from jaxplore.robot.robot import Measurement, Robot, RobotState, Sight
+from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.frames import frame_arrays
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -133,6 +140,72 @@ def locate_parts(
 def look(part: Part, belief: Belief, measured: Scalar, time: Scalar) -> Belief:
     """Return what a robot knows after a measurement by the instrument of a part at a time [s]."""
     return belief.with_parts({part.name: part.look(belief.parts[part.name], measured, time)})
+
+
+@eqx.filter_jit
+def search_places(
+    given: tuple[ParticleLocaliser, Sensor],
+    state: ParticleState,
+    scan: Scan,
+    expected: Float[Array, "E 3"],
+) -> Places:
+    """Return where a scan fits on the known map of a state, see `place_search.search_places`."""
+    localiser, sensor = given
+    seen = scan.points(sensor), scan.is_return
+    return search_map(localiser.filter, state.field, *seen, sensor.max_range, expected)
+
+
+class Followed(NamedTuple):
+    """A robot that looks for itself, after a scan.
+
+    Args:
+        state: what it knows.
+        share: share of the ends of beams that are at known walls from there.
+        numbers: (5,) the pose, `share`, and whether the filter knows the pose, in one array.
+    """
+
+    state: ParticleState
+    numbers: Float[Array, "5"]
+
+
+@eqx.filter_jit
+def follow_place(
+    given: tuple[Localisation, Sensor], state: ParticleState, motions: Motions, scan: Scan
+) -> Followed:
+    """Return what a robot that looks for itself knows after a scan, see `Localisation.follow`."""
+    localisation, sensor = given
+    localiser = localisation.localiser
+    assert isinstance(localiser, ParticleLocaliser)
+    _, place = localisation.follow(PoseKnowledge(state, None), motions, (scan,), (sensor,))
+    after = place.known
+    assert isinstance(after, ParticleState)
+    points = scan.points(sensor)
+    share = share_at_walls(localiser.filter, after.field, after.pose, points, scan.is_return)
+    told = jnp.stack([share, after.is_known.astype(jnp.float32)])
+    return Followed(after, jnp.concatenate([after.pose, told]))
+
+
+@eqx.filter_jit
+def start_around(
+    localiser: ParticleLocaliser, state: ParticleState, pose: Pose, stds: Float[Array, "2"]
+) -> ParticleState:
+    """Return the state of a robot that is told where it is, as `ParticleLocaliser` does."""
+    return localiser.start_around(state, pose, stds[0], stds[1])
+
+
+@eqx.filter_jit
+def start_at(
+    given: tuple[Localiser, Sensor], state: LocaliserState, pose: Pose, covariance: Matrix
+) -> LocaliserState:
+    """Return the state of a robot that has found itself, see `Localiser.start_at`."""
+    localiser, sensor = given
+    return localiser.start_at(state, pose, covariance, (sensor,))
+
+
+@eqx.filter_jit
+def with_map(perception: Perception, belief: Belief, grid: OccupancyGrid) -> Belief:
+    """Return a belief with another map, see `Perception.with_map`."""
+    return perception.with_map(belief, grid)
 
 
 @eqx.filter_jit

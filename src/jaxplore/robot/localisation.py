@@ -222,7 +222,7 @@ class Localisation(eqx.Module):
         ) -> tuple[Count, PoseKnowledge]:
             after = self.predict(place, motions.motions[index], motions.elapsed)
             found = self.correct(after, scans, sensors)
-            shares = (_localiser_state(each).share for each in (found, best[1]))
+            shares = (each.known.share for each in (found, best[1]))
             is_better = (index == 0) | jnp.greater(*shares)
             select = functools.partial(jnp.where, is_better)
             chosen: tuple[Count, PoseKnowledge] = jax.tree.map(select, (index, found), best)

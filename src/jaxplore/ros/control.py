@@ -19,6 +19,7 @@ from jaxplore.onboard.following import Following
 from jaxplore.onboard.log import Rows
 from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.pilot import Pilot
+from jaxplore.onboard.session_writer import SessionWriter
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.parts.battery.robot import Battery
@@ -53,7 +54,9 @@ MOST_BRAKING = 5.0
 """Longest time that a node drives on after it was told to stop [s]."""
 LEAST_SHARE = 0.25
 """Share of the control period that is the least time between two commands."""
-ORDERS = ("start", "pause", "return", "stop")
+INITIAL_POSE_TOPIC = "initialpose"
+"""Topic of a pose that somebody tells a robot that finds itself, as RViz and AMCL have it."""
+ORDERS = ("start", "explore", "pause", "return", "save", "stop")
 """Orders that the node takes."""
 
 
@@ -176,6 +179,7 @@ class ControlNode:
         self._scans: list[messages.LaserScan] = []
         self._shares: list[tuple[float, Instant]] = []
         self._orders: list[str] = []
+        self._goals: list[np.ndarray] = []
         self._parameters: dict[str, float] = {}
         self._wake = threading.Event()
         self._worker = concurrent.futures.ThreadPoolExecutor(1, "plan")
@@ -183,11 +187,12 @@ class ControlNode:
         self._background: concurrent.futures.Future[None] | None = None
         # The fixed frame, and that of the poses, which drifts where the robot localises itself.
         self._pose_frame = link.frame(settings.world_frame)
-        self._is_internal = settings.pose == "internal"
+        self._has_map_frame = pilot.has_map_frame
         self._changes = Changes()
         self._last_mode: Mode | None = None
         self._commands = CommandPublisher(link, settings)
         self._publisher = DrivePublisher(link, pilot, settings.rollout_colour)
+        self._session = None if pilot.session is None else SessionWriter(pilot, link.info)
         self._began = math.inf
         pose_topic = "/tf" if settings.pose_type == "tf" else link.topic(settings.pose_topic)
         self._scan_topic, self._pose_topic = link.topic(settings.scan_topic), pose_topic
@@ -202,6 +207,10 @@ class ControlNode:
             subscribe_battery(link, settings, self._take_battery)
         if isinstance(pilot.task, Following):
             link.subscribe(ros.Path, settings.path_topic, partial(self._take_path, pilot.task))
+        if pilot.finds_itself:
+            link.subscribe(ros.PoseWithCovarianceStamped, INITIAL_POSE_TOPIC, self._take_told_pose)
+        if settings.map is not None and settings.mode == "control":
+            link.subscribe(ros.PoseStamped, settings.goal_topic, self._take_goal)
         link.subscribe(ros.String, "~/command", self._take_order)
         link.subscribe(ros.String, "~/state", self._take_state)
         for order in ORDERS:
@@ -210,7 +219,8 @@ class ControlNode:
 
     @property
     def _frame_name(self) -> str:
-        return self.link.frame(self.settings.map_frame) if self._is_internal else self._pose_frame
+        frame = self.settings.map_frame
+        return self.link.frame(frame) if self._has_map_frame else self._pose_frame
 
     def _declare_parameters(self) -> None:
         """Offer the numbers of the controller as ROS parameters that may change while it drives."""
@@ -260,6 +270,27 @@ class ControlNode:
             )
         task.take(poses[:, :2])
 
+    def _take_told_pose(self, message: Any) -> None:
+        told = messages.odometry_of(message)
+        if told.frame != self._frame_name:
+            raise ValueError(
+                f"frame_id of an initial pose is {messages.text_of(told.frame)}; accepted: "
+                f"{self._frame_name!r}, that of the map"
+            )
+        self.pilot.tell_pose(told.pose)
+
+    def _take_goal(self, message: Any) -> None:
+        goal = messages.odometry_of(message)
+        if goal.frame != self._frame_name:
+            raise ValueError(
+                f"frame_id of a goal is {messages.text_of(goal.frame)}; accepted: "
+                f"{self._frame_name!r}, that of the map"
+            )
+        self.pilot.task.check_return()
+        with self._lock:
+            self._goals.append(goal.pose[:2] - self.pilot.offset)
+        self._wake.set()
+
     def _take_order(self, message: Any) -> None:
         if message.data not in ORDERS:
             given = messages.text_of(repr(message.data))
@@ -270,6 +301,8 @@ class ControlNode:
         """Take an order; return what happens. One that the drive cannot obey is a `ValueError`."""
         if order == "return":
             self.pilot.task.check_return()
+        if order == "save" and self._session is None:
+            raise ValueError("the node has no session; accepted: save with node --session FOLDER")
         with self._lock:
             self._orders.append(order)
         self._wake.set()
@@ -321,6 +354,8 @@ class ControlNode:
             self._worker.shutdown(cancel_futures=True)
             self._mapper.shutdown(cancel_futures=True)
             self._commands.publish(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
+            if self._session is not None:
+                self._session.end()
         self._publish_state(command)
 
     def _count(self, event: str, duration_secs: float, **_: str | int) -> None:
@@ -374,6 +409,7 @@ class ControlNode:
             scans, self._scans = self._scans, []
             shares, self._shares = self._shares, []
             orders, self._orders = self._orders, []
+            goals, self._goals = self._goals, []
             parameters, self._parameters = self._parameters, {}
         pilot = self.pilot
         for pose in poses:
@@ -388,13 +424,20 @@ class ControlNode:
             pilot.controller = set_parameters(pilot.controller, parameters)
         for order in orders:
             self._obey(order)
+        for place in goals:
+            pilot.is_started = True
+            pilot.task.go_to(pilot.time, place)
         received = scans[-1].received if scans else None
         return None if received is None else received.steady
 
     def _obey(self, order: str) -> None:
         pilot = self.pilot
-        pilot.is_started = order in ("start", "return")
-        if order == "start":
+        if order == "save":
+            assert self._session is not None
+            self._session.ask()
+            return
+        pilot.is_started = order in ("start", "explore", "return")
+        if order in ("start", "explore"):
             pilot.task.go_on()
         elif order == "return":
             pilot.task.turn_back(pilot.time, "told to return")
@@ -416,8 +459,12 @@ class ControlNode:
         """Do what no command waits for: fields, maps, the plan and the state."""
         now, pilot = self.link.now(), self.pilot
         pilot.update_belief(self.link.instant())
-        if self._is_internal and pilot.pose is not None:
+        # A transform from a frame to itself is none.
+        has_frames = self._has_map_frame and self._frame_name != self._pose_frame
+        if has_frames and pilot.pose is not None and not pilot.lost:
             self._publisher.publish_transform(now, self._frame_name, self._pose_frame)
+        if self._session is not None:
+            self._session.write_when_due()
         pilot.log.frames.add_when_due(pilot.log.num_steps * pilot.period, pilot.make_frame)
         changes = self._changes.take()
         for change in changes:
@@ -451,6 +498,7 @@ class ControlNode:
             "began": self._began,
             "mode": str(command.mode),
             "reason": command.reason,
+            "saved": None if pilot.session is None else pilot.session.saved_at,
             "explored_m2": round(pilot.log.num_known * pilot.belief.grid.resolution**2, 2),
             "commands": times.num_commands,
             "late": times.num_late,

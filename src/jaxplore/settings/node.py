@@ -31,9 +31,19 @@ def _modes(text: str, *modes: str) -> Readers:
 DRIVING = _modes("the modes control and follow", "control", "follow")
 EXPLORING, FOLLOWING = _modes("the mode control", "control"), _modes("the mode follow", "follow")
 CHOOSING = _modes("the mode goal", "goal")
+GOAL_TOPIC = Readers(
+    "the mode goal, and nodes that know a map",
+    lambda settings: settings.node.mode == "goal" or settings.node.map is not None,
+    "node.mode",
+)
+WITHOUT_MAP = Readers(
+    "nodes that make their map", lambda settings: settings.node.map is None, "node.map"
+)
 NOT_FOLLOWING = _modes("the modes control and goal", "control", "goal")
 LOCALISING = Readers(
-    "the pose internal", lambda settings: settings.node.pose == "internal", "node.pose"
+    "the pose internal and sessions",
+    lambda settings: settings.node.pose == "internal" or settings.node.session is not None,
+    "node.pose",
 )
 
 
@@ -88,9 +98,16 @@ class NodeSettings(Section):
             chooses goals on a map, and nav2 drives.
         pose: whose pose the robot drives by: `external`, that of the topic, such as of a SLAM;
             `internal`, its own by scans and closed loops, from an odometry that drifts.
-        map_frame: name of the frame of the map of the pose `internal`, for transforms.
+        session: folder that keeps the map, the pose graph, what was given up and the settings, so
+            that a later drive goes on; none when absent.
+        map: ROS map (YAML) that the robot knows. With the pose `internal` it finds itself on it by
+            a particle filter; poses that are `external` are in its frame. When absent the robot
+            makes its map.
+        map_frame: name of the frame of the map of the pose `internal`, of a session and of a known
+            map, for transforms.
         map_topic: topic of the map, for goals.
-        goal_topic: topic of the goals.
+        goal_topic: topic of the goals: those that the mode `goal` publishes, and those to which a
+            robot that knows a map drives.
         path_topic: topic of the paths to follow, `nav_msgs/Path`.
         scan_topic: topic of the lidar, `sensor_msgs/LaserScan`.
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
@@ -125,9 +142,11 @@ class NodeSettings(Section):
     namespace: Annotated[Namespace | None, EVERY] = None
     mode: Annotated[Literal["control", "follow", "goal"], EVERY] = "control"
     pose: Annotated[Literal["external", "internal"], EVERY] = "external"
+    session: Annotated[str | None, DRIVING] = None
+    map: Annotated[str | None, DRIVING] = None
     map_frame: Annotated[str, LOCALISING] = "map"
     map_topic: Annotated[Topic, CHOOSING] = "map"
-    goal_topic: Annotated[Topic, CHOOSING] = "goal_pose"
+    goal_topic: Annotated[Topic, GOAL_TOPIC] = "goal_pose"
     path_topic: Annotated[Topic, FOLLOWING] = "plan"
     scan_topic: Topic = "scan"
     pose_topic: Annotated[Topic, EVERY] = "odom"
@@ -137,7 +156,7 @@ class NodeSettings(Section):
     command_type: Literal["auto", "twist", "twist_stamped"] = "auto"
     world_frame: Annotated[str, EVERY] = "odom"
     robot_frame: Annotated[str, EVERY] = "base_link"
-    map_size: Width = 50.0
+    map_size: Annotated[Width, WITHOUT_MAP] = 50.0
     lidar_x: Real = setting(PilotOptions, "lidar_x")
     lidar_y: Real = setting(PilotOptions, "lidar_y")
     lidar_yaw_degrees: Real = 0.0

@@ -24,5 +24,4 @@ WATCH = Capability(
     meaning="settings of the idleness map, for search and patrol; none when absent.",
     settings=WatchSettings,
     build=build_watch,
-    is_on_board=False,
 )

@@ -139,13 +139,8 @@ def _controllers(
 
 def _map_size(settings: Settings) -> MapSize:
     if is_ros_map(settings):
-        rows, columns, resolution = map_size(settings.map)
-        wanted = settings.resolution
-        # Finer maps are resampled.
-        share = resolution / wanted if resolution < wanted * ENOUGH else 1.0
-        height_map = 0.0 if settings.terrain.height_map is None else rows * columns
-        pixels = rows * columns + height_map
-        return MapSize(rows * share, columns * share, resolution / share, pixels)
+        has_heights = settings.terrain.height_map is not None
+        return _ros_map_size(settings.map, settings.resolution, float(has_heights))
     if settings.world is None and settings.map == OFFICE:
         office, side = settings.office, settings.resolution
         return MapSize(office.height / side, office.width / side, side)
@@ -159,14 +154,25 @@ def _map_size(settings: Settings) -> MapSize:
     return MapSize(*shape, resolution)
 
 
+def _ros_map_size(path: str, wanted: float, num_heights: float) -> MapSize:
+    """Return the size of a ROS map at a resolution [m], with images of heights beside it."""
+    rows, columns, resolution = map_size(path)
+    # Finer maps are resampled.
+    share = resolution / wanted if resolution < wanted * ENOUGH else 1.0
+    pixels = (1.0 + num_heights) * rows * columns
+    return MapSize(rows * share, columns * share, resolution / share, pixels)
+
+
 def _node_map_size(settings: Settings, node: NodeSettings) -> MapSize:
+    if node.map is not None:
+        return _ros_map_size(node.map, settings.resolution, 0.0)
     cells = node.map_size / settings.resolution
     return MapSize(cells, cells, settings.resolution)
 
 
 def _of_map(settings: Settings, node: NodeSettings | None) -> str:
     if node is not None:
-        return "node.map_size, resolution"
+        return f"node.map{'_size' if node.map is None else ''}, resolution"
     if is_ros_map(settings):
         return "the image, resolution"
     is_office = settings.world is None and settings.map == OFFICE

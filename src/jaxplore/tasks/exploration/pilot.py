@@ -1,6 +1,8 @@
 """The pilot of a real robot, from settings."""
 
+import hashlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,12 +15,15 @@ from jaxplore.costs.base import Cost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
+from jaxplore.localisation.particle_localiser import ParticleLocaliser
+from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.following import Following, blank_path
 from jaxplore.onboard.goals import GoalChooser
 from jaxplore.onboard.motors import Motors
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
+from jaxplore.onboard.session import Session
 from jaxplore.parameters import set_parameters
 from jaxplore.parts.localisation.settings import (
     LOCALISATION,
@@ -32,10 +37,12 @@ from jaxplore.robot.localisation import Localisation
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.node import NodeSettings, part_node
+from jaxplore.settings.readers import read_values
+from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.tasks.exploration.build import build_in, build_scenario
 from jaxplore.tasks.exploration.settings import OFFICE, Settings, make_exploration_settings
-from jaxplore.tasks.exploration.world import RunWorld, surroundings
+from jaxplore.tasks.exploration.world import ENOUGH, RunWorld, surroundings
 from jaxplore.tasks.robot import build_robot, build_sensor_model, build_sensors
 from jaxplore.tasks.user_code import import_rule
 
@@ -63,8 +70,11 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
             "setting node.pose is 'internal' with node.mode goal; accepted: external, the pose in "
             "the map of another program"
         )
-    elif given.get("localisation") is None:
-        given["localisation"] = {}
+    else:
+        localisation = given.get("localisation")
+        method = "matching" if node.map is None else "particles"
+        if localisation is None or isinstance(localisation, dict):
+            given["localisation"] = {"method": method, **(localisation or {})}
     for each in CAPABILITIES:
         own = given.get(each.name, {})
         if each.on_board and isinstance(own, dict):
@@ -137,25 +147,58 @@ def build_goal_chooser(settings: Settings) -> GoalChooser:
     return GoalChooser(perception, rule, max_speed=settings.robot.max_speed)
 
 
-def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = True) -> Pilot:
+def open_session(settings: Settings, node: NodeSettings) -> Session | None:
+    """Return the session that settings name; None if they name none.
+
+    Raises:
+        ValueError: as of `Session`.
+    """
+    if node.session is None:
+        return None
+    values = read_values(settings)
+    del values["map"]
+    kept = {**values, "node": node.model_dump(mode="json", exclude={"session"})}
+    facts: dict[str, object] = {
+        "setting resolution": settings.resolution,
+        **_map_facts(settings, node),
+        "setting node.pose": node.pose,
+        **{
+            f"setting lidar.{name}": getattr(settings.lidar, name)
+            for name in ("num_beams", "field_of_view_degrees", "max_range")
+        },
+    }
+    return Session(Path(node.session), facts, kept)
+
+
+def _map_facts(settings: Settings, node: NodeSettings) -> dict[str, object]:
+    """Return what says which map a robot has."""
+    if node.map is None:
+        return {"setting node.map_size": node.map_size}
+    grid = _known_world(node.map, settings).grid
+    cells = np.ascontiguousarray(grid.probability)
+    return {"cells of node.map": hashlib.sha256(cells.tobytes()).hexdigest()[:16]}
+
+
+def build_pilot(
+    settings: Settings,
+    node: NodeSettings,
+    *,
+    is_obeyed: bool = True,
+    session: Session | None = None,
+) -> Pilot:
     """Build the pilot that settings describe.
 
-    `is_obeyed` says whether the robot executes the commands; it does not in a replay.
+    `is_obeyed` says whether the robot executes the commands; it does not in a replay. `session` is
+    that of `open_session`; none when absent.
     """
+    finder = _build_finder(settings)
     localisation, settings = _localisation(settings, node)
     robot = build_robot(settings.robot)
     if "z" in robot.state_names:
         raise ValueError(
             f"setting robot.model is {settings.robot.model!r}; accepted: a robot on the ground"
         )
-    cells = max(2, round(node.map_size / settings.resolution))
-    side = cells * settings.resolution
-    # The robot stands in the middle of its map. Nothing is known of the world; for the scenario,
-    # which checks that the robot fits, it is free.
-    grid = OccupancyGrid(
-        np.zeros((cells, cells), np.float32), settings.resolution, (-0.5 * side, -0.5 * side, 0.0)
-    )
-    world = RunWorld(grid, (0.0, 0.0, 0.0), is_placed=False)
+    world = _blank_world(settings, node) if node.map is None else _known_world(node.map, settings)
     key = jax.random.key(settings.seed)
     told = control_arguments(settings, surroundings(settings, world, float(robot.radius)))
     motors = Motors(**arguments(node.motors, Motors))
@@ -171,21 +214,64 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
         scenario = build_scenario(settings, following.model, world)
         controller = set_parameters(following.controller, settings.parameters)
         pilot = Pilot(
-            scenario, controller, key, options, Following(scenario.perception), localisation
+            *(scenario, controller, key, options, Following(scenario.perception), localisation),
+            session=session,
+            finder=finder,
+            is_map_known=node.map is not None,
         )
     else:
         # The way back is one more source of the guidance field, which the explorer follows.
         if settings.architecture == "explorer":
-            world = world._replace(goal=(0.0, 0.0))
+            world = world._replace(goal=world.start[:2])
         made = build_in(settings, robot, world)
         assert isinstance(made.scenario, ExplorationScenario)
         pilot = Pilot(
             *(made.scenario, made.controller, key, options),
             localisation=localisation,
             occlusion=told.get("occlusion_cost"),
+            session=session,
+            finder=finder,
+            is_map_known=node.map is not None,
         )
     pilot.is_started = node.is_autostarted
     return pilot
+
+
+def _blank_world(settings: Settings, node: NodeSettings) -> RunWorld:
+    """Return the world of a robot that stands in the middle of its map, and knows nothing of it."""
+    cells = max(2, round(node.map_size / settings.resolution))
+    side = cells * settings.resolution
+    # For the scenario, which checks that the robot fits, it is free.
+    grid = OccupancyGrid(
+        np.zeros((cells, cells), np.float32), settings.resolution, (-0.5 * side, -0.5 * side, 0.0)
+    )
+    return RunWorld(grid, (0.0, 0.0, 0.0), is_placed=False)
+
+
+def _known_world(path: str, settings: Settings) -> RunWorld:
+    """Return the world of a robot that knows a ROS map; it begins where there is room."""
+    datum = map_datum(path)
+    grid = OccupancyGrid.from_ros(path, datum=datum)
+    if grid.resolution < settings.resolution * ENOUGH:
+        grid = grid.resample(settings.resolution)
+    radius = float(build_robot(settings.robot).radius)
+    start = (*open_spot(grid, radius), 0.0)
+    return RunWorld(grid, start, grid, datum=datum, is_placed=False)
+
+
+def _build_finder(settings: Settings) -> ParticleLocaliser:
+    """Build what finds a robot on the map of its session."""
+    given = LOCALISATION.find_section(settings)
+    if not isinstance(given, LocalisationSettings):
+        given = LocalisationSettings()
+    sensor = build_sensors(settings)[0]
+    found = make_localisation(
+        given.model_copy(update={"method": "particles", "most_uncertainty": None}),
+        *(settings.robot.model, sensor, settings.resolution),
+        is_map_known=True,
+    ).localiser
+    assert isinstance(found, ParticleLocaliser)
+    return found
 
 
 def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation | None, Settings]:
@@ -193,10 +279,13 @@ def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation 
     given = LOCALISATION.find_section(settings)
     if node.pose == "external" or not isinstance(given, LocalisationSettings):
         return None, settings
-    if given.method != "matching":
+    method, why = "matching", "the robot makes its own map"
+    if node.map is not None:
+        method, why = "particles", "the robot knows its map, node.map"
+    if given.method != method:
         raise ValueError(
             f"setting localisation.method is {given.method!r} with node.pose internal; accepted: "
-            "'matching', for the robot makes its own map"
+            f"{method!r}, for {why}"
         )
     for name, accepted in (("uncertainty_weight", 0.0), ("most_uncertainty", None)):
         value = getattr(given, name)
@@ -206,7 +295,10 @@ def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation 
                 f"{'none' if accepted is None else '0'}, for plans of a robot know no uncertainty"
             )
     sensor = build_sensors(settings)[0]
-    found = make_localisation(given, settings.robot.model, sensor, settings.resolution)
+    found = make_localisation(
+        *(given, settings.robot.model, sensor, settings.resolution),
+        is_map_known=node.map is not None,
+    )
     return found, settings.model_copy(update={LOCALISATION.name: None})
 
 
