@@ -21,6 +21,7 @@ from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
 from jaxplore.cli._map_log_command import map_log
 from jaxplore.cli._memory import memory_option
+from jaxplore.cli._merge_command import merge
 from jaxplore.cli._node_commands import node, replay, robot
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
@@ -265,7 +266,7 @@ def import_nav2(
         _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
 
 
-for command in (map_log, node, replay, robot):
+for command in (map_log, merge, node, replay, robot):
     cli.add_command(command)
 
 
