@@ -362,6 +362,8 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "optimise": {"graph": localisation.Graph(*[np.zeros((0, 3))] * 6)},
         "path_datum": {"path": str(folder / "path.csv")},
         "map_log": {"log": jx.sensing.read_laser_log(folder / "lidar.log")},
+        "match_maps": {"one": grid, "other": grid},
+        "unite_maps": {"one": grid, "other": grid, "pose": [0.0, 0.0, 0.0]},
         "map_datum": {"path": str(folder / "map.yaml")},
         "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
         "read_laser_log": {"path": str(folder / "lidar.log")},

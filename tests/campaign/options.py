@@ -26,6 +26,7 @@ NEEDED = {
     "replay": ["{base}/bag"],
     "view": ["{base}/run"],
     "import-nav2": ["{base}/nav2.yaml"],
+    "merge": ["{base}/map.yaml", "{base}/map.yaml"],
 }
 """What commands need to begin."""
 

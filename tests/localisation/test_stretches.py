@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from jaxplore.localisation import stretch_loops
+from jaxplore.localisation import correlation, stretch_loops
 from jaxplore.localisation.stretch_loops import CELL, TURN_SPACING, Patch, find_patch
 
 # A lane with a niche, a box and a crossing lane: nothing repeats along it.
@@ -44,10 +44,10 @@ def test_the_scores_are_those_of_every_pose_by_itself() -> None:
     walls = cells_of(place.occupied - guess[:2])
     beside = {(i + a, j + b) for i, j in walls for a in (-1, 0, 1) for b in (-1, 0, 1)}
     free = cells_of(place.free - guess[:2]) - beside
-    reach = stretch_loops.WIDEST_BLUR
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / stretch_loops.BLUR) ** 2)
+    reach = correlation.WIDEST_BLUR
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / correlation.BLUR) ** 2)
     # The filter ends at four standard deviations.
-    weights[np.abs(np.arange(-reach, reach + 1)) > int(4.0 * stretch_loops.BLUR + 0.5)] = 0.0
+    weights[np.abs(np.arange(-reach, reach + 1)) > int(4.0 * correlation.BLUR + 0.5)] = 0.0
 
     def value(cell: tuple[int, int]) -> float:
         near = sum(

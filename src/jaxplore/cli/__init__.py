@@ -22,6 +22,7 @@ from jaxplore.cli._completion import complete_name
 from jaxplore.cli._decorators import path_option
 from jaxplore.cli._map_log_command import map_log
 from jaxplore.cli._memory import memory_option
+from jaxplore.cli._merge_command import merge
 from jaxplore.cli._node_commands import identify, node, replay, robot
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
@@ -247,7 +248,7 @@ def import_nav2(
         _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
 
 
-for command in (identify, map_log, node, replay, robot):
+for command in (identify, map_log, merge, node, replay, robot):
     cli.add_command(command)
 
 

@@ -58,8 +58,8 @@ _drive_options = add_options(
 @path_option(
     "--session",
     metavar="FOLDER",
-    text="Go on with the map, the pose graph and the settings that this folder keeps, and keep them "
-    "there.",
+    text="Go on with the map, the pose graph and the settings that this folder keeps, and keep "
+    "them there.",
 )
 @NAMESPACE
 @_drive_options

@@ -11,6 +11,8 @@ from jaxplore.localisation.localiser import Localiser as Localiser
 from jaxplore.localisation.localiser import LocaliserState as LocaliserState
 from jaxplore.localisation.log_mapping import LogMap as LogMap
 from jaxplore.localisation.log_mapping import map_log as map_log
+from jaxplore.localisation.map_matching import MapMatch as MapMatch
+from jaxplore.localisation.map_matching import match_maps as match_maps
 from jaxplore.localisation.odometry import Odometry as Odometry
 from jaxplore.localisation.odometry import OdometryBias as OdometryBias
 from jaxplore.localisation.odometry_model import ErrorEstimate as ErrorEstimate

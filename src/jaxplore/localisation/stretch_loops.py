@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from jaxplore._types import Count, Pose
 from jaxplore.geometry.motion import Matrix, between, motions_between, rotation
+from jaxplore.localisation.correlation import Grid, blur_walls
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
 from jaxplore.localisation.pose_graph import Graph, motion_covariances, spread_evenly
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
@@ -29,12 +30,9 @@ RADIUS = 30.0
 """Distance from the end of a stretch beyond which its points are not used [m]."""
 TURN_SPACING = 0.02
 """Spacing of the yaws that are tried [rad]: a cell at 12 m."""
-BLUR, WIDEST_BLUR = 0.7, 5
-"""Standard deviation and greatest reach of the blur of old points [cells]."""
 APART = 1.0
 """Distance from the best position from which on another one is a rival [m]."""
 _Floats = NDArray[np.float64]
-_Grid = NDArray[np.float32]
 LENGTH, SPACING, NEIGHBOURS = 15.0, 5.0, 15.0
 """Length of a stretch, way between the ends of two, and that within which they must agree [m]."""
 LEAST_REACH, LEAST_TURN, MOST_TURN = 3.0, 0.1, 0.4
@@ -148,7 +146,7 @@ def find_patch(
     number = 2 * int(np.ceil((RADIUS + reach) / CELL))
     size = scipy.fft.next_fast_len(number, real=True)
     walls, free = _draw(place, guess[:2], number)
-    value = scipy.fft.rfft2(_blur(walls) - free, (size, size))
+    value = scipy.fft.rfft2(np.minimum(blur_walls(walls), 1.0) - free, (size, size))
     occupied = scipy.fft.rfft2(walls, (size, size))
     steps, turns = int(np.ceil(reach / CELL)), int(np.ceil(most_turn / TURN_SPACING))
     shifts = np.arange(-steps, steps + 1)
@@ -171,7 +169,7 @@ def find_patch(
     return PlaceOfPatch(pose, float(scores[best]), float(others.max(initial=0.0)), is_inside)
 
 
-def _draw(patch: Patch, middle: np.ndarray, number: int) -> tuple[_Grid, _Grid]:
+def _draw(patch: Patch, middle: np.ndarray, number: int) -> tuple[Grid, Grid]:
     """Return the occupied and the free cells of a patch, in grids around a point."""
     from scipy.ndimage import maximum_filter  # slow to import, and few need it
 
@@ -184,17 +182,6 @@ def _draw(patch: Patch, middle: np.ndarray, number: int) -> tuple[_Grid, _Grid]:
         grids.append(grid)
     walls, free = grids
     return walls, free * (maximum_filter(walls, 3) == 0.0)
-
-
-def _blur(walls: _Grid) -> _Grid:
-    """Return occupied cells that fade to the sides, 1 on them."""
-    from scipy.ndimage import gaussian_filter  # slow to import, and few need it
-
-    alone = np.zeros((2 * WIDEST_BLUR + 1,) * 2, np.float32)
-    alone[WIDEST_BLUR, WIDEST_BLUR] = 1.0
-    greatest = float(gaussian_filter(alone, BLUR).max())
-    blurred: _Grid = np.minimum(gaussian_filter(walls, BLUR) / greatest, 1.0)
-    return blurred
 
 
 class StretchLoop(NamedTuple):

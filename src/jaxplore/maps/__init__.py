@@ -19,6 +19,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid as OccupancyGrid
 from jaxplore.maps.relative import relative_world as relative_world
 from jaxplore.maps.terrain import TerrainMap as TerrainMap
 from jaxplore.maps.terrain import TerrainSample as TerrainSample
+from jaxplore.maps.union import unite_maps as unite_maps
 from jaxplore.maps.voxel_grid import VoxelGrid as VoxelGrid
 from jaxplore.maps.world import LabelledObject as LabelledObject
 from jaxplore.maps.world import MovingObstacle as MovingObstacle

@@ -163,6 +163,18 @@ def write_map(
     Source: nav2 (ROS 2), `nav2_map_server/src/map_io.cpp`, `tryWriteMapToFile`. The thresholds of
     `scale` are 0 and 1, so that no probability is clipped.
     """
+    replace_files(map_files(path, probability, resolution, origin, mode=mode))
+
+
+def map_files(
+    path: str | os.PathLike[str],
+    probability: NDArray[np.floating],
+    resolution: float,
+    origin: Sequence[float],
+    *,
+    mode: str = "trinary",
+) -> list[tuple[Path, bytes]]:
+    """Return the paths and the contents of the files of a map, the image first; see `write_map`."""
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
         raise ValueError(
@@ -201,7 +213,7 @@ def write_map(
     image = io.BytesIO()
     _grey_image(values[::-1], mode).save(image, format="PNG" if mode == "scale" else "PPM")
     # The image is first, so that the YAML file never names one that is not there.
-    replace_files([(image_path, image.getvalue()), (path, text.encode())])
+    return [(image_path, image.getvalue()), (path, text.encode())]
 
 
 def _settings(path: Path) -> _Settings:
