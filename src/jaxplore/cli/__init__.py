@@ -21,7 +21,7 @@ from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
 from jaxplore.cli._map_log_command import map_log
 from jaxplore.cli._memory import memory_option
-from jaxplore.cli._node_commands import node, replay, robot
+from jaxplore.cli._node_commands import controller, node, replay, robot
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
@@ -40,7 +40,8 @@ def cli() -> None:
     its progress and avoids obstacles.
 
     `run` simulates one run, `compare` compares controllers or settings, `tune` searches for better
-    settings. `node` drives a robot over ROS 2, and `robot` simulates one for it.
+    settings. `node` drives a robot over ROS 2, `controller` drives it for nav2, and `robot`
+    simulates one.
     """
 
 
@@ -265,7 +266,7 @@ def import_nav2(
         _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
 
 
-for command in (map_log, node, replay, robot):
+for command in (controller, map_log, node, replay, robot):
     cli.add_command(command)
 
 

@@ -24,8 +24,8 @@ from jaxplore.report.console import progress_bar
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.folder import write_whole
 from jaxplore.report.table import print_table
-from jaxplore.ros import control, goal, robot
-from jaxplore.ros.link import connect
+from jaxplore.ros import control, goal, path_action, robot
+from jaxplore.ros.link import connect, import_ros
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
@@ -56,6 +56,9 @@ def drive(options: dict[str, Any]) -> None:
 
     The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
     """
+    if options["mode"] == "controller":
+        # Without it nothing needs to be compiled.
+        path_action.check_nav2(import_ros())
     settings, node, folder = _drive_settings(options)
     if node.mode == "goal":
         choose_goals(settings, node)
@@ -64,10 +67,15 @@ def drive(options: dict[str, Any]) -> None:
         monitors = _monitors(options, folder, stack)
         pilot = build_pilot(settings, node)
         recording = None
-        # Connected first, so that other nodes are found while it compiles.
-        link = stack.enter_context(connect(control.NODE, node.namespace))
         say("Compiling, a few seconds ...", err=True)
-        pilot.prepare()
+        if node.mode == "controller":
+            # nav2's lifecycle manager does not wait for a node that is there.
+            pilot.prepare()
+            link = stack.enter_context(connect(node.server.name, node.namespace, is_managed=True))
+        else:
+            # Connected first, so that other nodes are found while it compiles.
+            link = stack.enter_context(connect(control.NODE, node.namespace))
+            pilot.prepare()
         with stop_requests() as is_stopped:
             driver = control.ControlNode(link, pilot, node, monitors)
             driver.check_alone()

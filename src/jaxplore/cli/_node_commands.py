@@ -71,6 +71,13 @@ def node_options(command: Any) -> Any:
     return command
 
 
+def controller_options(command: Any) -> Any:
+    """Add the options of the controller server."""
+    for option in reversed((NAMESPACE, *_drive_options("runs/drive"))):
+        command = option(command)
+    return command
+
+
 def replay_options(command: Any) -> Any:
     """Add the options of a replay."""
     topics = (
@@ -179,6 +186,30 @@ def node(**options: Any) -> None:
 
     with interrupt_on_end_signals():
         drive(options)
+
+
+@click.command()
+@controller_options
+@view_options
+@memory_option
+@cache_option
+def controller(**options: Any) -> None:
+    """Drive a robot along the paths of nav2, in place of its controller server.
+
+    Is a lifecycle node, controller_server, with the action FollowPath, so that nav2's lifecycle
+    manager and behaviour trees find what they know. It needs nav2_msgs. Tolerances, topics and the
+    costmap are settings of the section node.server:
+
+    \b
+      jaxplore controller --set node.pose_type=tf --set node.world_frame=map
+      jaxplore controller --settings robot.yaml --set node.server.obstacles=both
+
+    Ctrl-C stops the robot and saves the drive as a run folder.
+    """
+    from jaxplore.cli._node import drive
+
+    with interrupt_on_end_signals():
+        drive({**options, "mode": "controller", "record": None})
 
 
 @click.command()

@@ -162,11 +162,11 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
     key = jax.random.key(settings.seed)
     told = control_arguments(settings, surroundings(settings, world, robot))
     options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
-    if node.mode == "follow":
+    if node.mode in ("follow", "controller"):
         if settings.adaptive_horizon.rule is not None:
             raise ValueError(
                 f"setting adaptive_horizon.rule is {settings.adaptive_horizon.rule!r} with "
-                "node.mode follow; accepted: none"
+                f"node.mode {node.mode}; accepted: none"
             )
         following = _build_following(settings, node, robot, told)
         scenario = build_scenario(settings, following.model, world)
@@ -221,6 +221,9 @@ def _build_following(
         near = near + MovingObstacleCost()
     avoidance = _checks.scalar("obstacle_weight", given.obstacle_weight) * near
     numbers = arguments(node.contouring, mpcc)
+    if node.mode == "controller":
+        # The angle is that of each path.
+        numbers["end_heading"] = 0.0
     if not isinstance(robot, ContinuousDynamics):
         numbers["comfort_weight"] = None
     return mpcc(robot, blank_path(), other=avoidance, **numbers)
