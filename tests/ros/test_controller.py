@@ -1,16 +1,8 @@
 """nav2's controller server: an action client drives a simulated robot over real DDS."""
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 from tests.ros import interfaces
-from tests.ros.test_field import ros_environment
 
-HERE = Path(__file__).parent
 MISSING = interfaces.missing()
 pytestmark = [
     pytest.mark.long,
@@ -21,37 +13,9 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 AT_REST = 0.06
 
 
-@pytest.fixture(scope="session")
-def nav2_types(tmp_path_factory) -> Path:
-    """Types of bond and nav2_msgs, made from the interfaces beside this file."""
-    folder = tmp_path_factory.mktemp("interfaces")
-    program = str(HERE / "interfaces.py")
-    done = subprocess.run(
-        [sys.executable, program, str(folder)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr[-4000:]
-    return folder
-
-
 @pytest.fixture(scope="module")
-def seen(nav2_types, tmp_path_factory):
-    environment = ros_environment()
-    paths = [environment["PYTHONPATH"], str(nav2_types)]
-    environment["PYTHONPATH"] = os.pathsep.join(paths)
-    done = subprocess.run(
-        [
-            sys.executable,
-            str(HERE / "controller_program.py"),
-            str(tmp_path_factory.mktemp("served")),
-        ],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    lines = [line for line in done.stdout.splitlines() if line.startswith("SEEN ")]
-    assert lines, done.stdout[-6000:] + done.stderr[-6000:]
-    return json.loads(lines[0].removeprefix("SEEN "))
+def seen(run_with_nav2, tmp_path_factory):
+    return run_with_nav2("controller_program.py", str(tmp_path_factory.mktemp("served")))
 
 
 def is_at_rest(end: dict) -> bool:

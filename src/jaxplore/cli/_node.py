@@ -205,12 +205,15 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
 
     The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
     """
+    if node.goal_by == "action":
+        path_action.check_nav2(import_ros())
     chooser = build_goal_chooser(settings)
     with connect(control.NODE, node.namespace) as link, stop_requests() as is_stopped:
+        goals = node.goal_action if node.goal_by == "action" else node.goal_topic
         chosen = goal.GoalNode(link, chooser, node, settings.resolution)
         say(
             f"Choosing goals: {link.topic(node.map_topic)} and {link.topic(node.pose_topic)} to "
-            f"{link.topic(node.goal_topic)}; Ctrl-C ends it.",
+            f"{link.topic(goals)}; Ctrl-C ends it.",
             err=True,
         )
         reason = chosen.run(is_stopped)

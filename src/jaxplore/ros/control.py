@@ -500,6 +500,9 @@ class ControlNode:
     def _tell(self, command: Command) -> None:
         """Log what the pilot does, with the reason."""
         former, self._last_mode = self._last_mode, command.mode
+        if self._action is not None and not self._action.is_commanding:
+            # A server without a goal has nothing to tell.
+            return
         if former is not command.mode:
             reason = f": {command.reason}" if command.reason else ""
             self.link.info(f"{command.mode}{reason}")

@@ -31,7 +31,7 @@ MESSAGES = {
 """Packages of messages that every mode needs, and their messages."""
 FURTHER = {
     "bond.msg": ("Status",),
-    "nav2_msgs.action": ("FollowPath", "NavigateThroughPoses", "NavigateToPose"),
+    "nav2_msgs.action": ("FollowPath", "NavigateToPose"),
     "nav2_msgs.msg": ("SpeedLimit",),
     "std_srvs.srv": ("Trigger",),
     "tf2_msgs.msg": ("TFMessage",),

@@ -80,7 +80,7 @@ class PathAction:
         self.parameters = {self._parameter(name): float(names[name]) for name in CHANGEABLE}
         """ROS parameters with nav2's names, and their values."""
         if given.obstacles != "scan":
-            link.subscribe(ros.OccupancyGrid, given.costmap_topic, self._take_map, is_kept=True)
+            link.subscribe(ros.OccupancyGrid, given.costmap_topic, self._take_map, depth=1)
         if ros.SpeedLimit is not None:
             link.subscribe(ros.SpeedLimit, given.speed_limit_topic, self._take_limit)
         self._instance = str(uuid.uuid4())

@@ -108,6 +108,9 @@ class NodeSettings(Section):
         map_frame: name of the frame of the map of the pose `internal`, for transforms.
         map_topic: topic of the map, for goals.
         goal_topic: topic of the goals.
+        goal_by: how goals are told: by the `topic`, or by nav2's `action` `NavigateToPose`, whose
+            results decide as well.
+        goal_action: name of that action.
         path_topic: topic of the paths to follow, `nav_msgs/Path`.
         scan_topic: topic of the lidar, `sensor_msgs/LaserScan`.
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
@@ -145,6 +148,8 @@ class NodeSettings(Section):
     map_frame: Annotated[str, LOCALISING] = "map"
     map_topic: Annotated[Topic, CHOOSING] = "map"
     goal_topic: Annotated[Topic, CHOOSING] = "goal_pose"
+    goal_by: Annotated[Literal["topic", "action"], CHOOSING] = "topic"
+    goal_action: Annotated[Topic, CHOOSING] = "navigate_to_pose"
     path_topic: Annotated[Topic, FOLLOWING] = "plan"
     scan_topic: Topic = "scan"
     pose_topic: Annotated[Topic, EVERY] = "odom"
