@@ -192,8 +192,10 @@ def by_scans(client: Client, seen: dict) -> None:
     seen["activated"] = client.transition(ACTIVATE)
     client.wait("a sign of life", lambda: client.bonds)
     seen["bond"] = [client.bonds[-1].id, client.bonds[-1].active]
+    home = client.odometry[-1][:2]
     first = client.send(client.line(1.5, yaw=1.2))
     seen["reached"] = client.end(first)
+    there = seen["reached"]["pose"][:2]
     seen["feedback"] = client.feedback[:]
     seen["commands"] = client.node.count_publishers("/cmd_vel")
     # A goal that replaces another one does not stop the robot.
@@ -234,7 +236,11 @@ def by_scans(client: Client, seen: dict) -> None:
     seen["fastest"] = max(each[3] for each in client.odometry[number:])
     client.limit(0.0)
     client.set(progress_checker__movement_time_allowance=60.0)
-    driven = client.send(client.line(2.0, turn=math.pi))
+    # Back to where it came from: the costmap below shows no wall of the office.
+    way = np.linspace(client.odometry[-1][:2], there, 30)
+    back = client.goal(way, math.atan2(home[1] - there[1], home[0] - there[0]))
+    seen["back"] = client.end(client.send(back))
+    driven = client.send(client.line(1.0))
     client.wait("it drives", lambda: client.odometry[-1][3] > 0.1)
     seen["deactivated"] = client.transition(DEACTIVATE)
     seen["stopped"] = client.end(driven)
@@ -246,15 +252,15 @@ def by_costmap(client: Client, seen: dict) -> None:
     """A wall that only the costmap shows, and none at all."""
     client.transition(CONFIGURE)
     client.transition(ACTIVATE)
-    client.set(progress_checker__movement_time_allowance=8.0)
-    seen["no_costmap"] = client.end(client.send(client.line(1.5)))
+    client.set(progress_checker__movement_time_allowance=10.0)
+    seen["no_costmap"] = client.end(client.send(client.line(1.0)))
     start = client.odometry[-1]
-    client.publish_wall(1.3)
-    seen["virtual_wall"] = client.end(client.send(client.line(1.9)))
+    client.publish_wall(0.7)
+    seen["virtual_wall"] = client.end(client.send(client.line(1.2)))
     end = client.odometry[-1]
     seen["driven"] = math.dist(start[:2], end[:2])
     client.publish_wall(None)
-    seen["open"] = client.end(client.send(client.line(0.8)))
+    seen["open"] = client.end(client.send(client.line(0.5)))
     client.seen_costmap = None
 
 
@@ -274,7 +280,7 @@ def main(folder: Path) -> dict:
             running.append(served)
             drive(client, seen)
             client.wait("the node tells its state", lambda: client.states)
-            seen[name] = client.states[-1]
+            seen[name] = client.states[-1] | client.robot
             served.send_signal(signal.SIGINT)
             text, _ = served.communicate(timeout=PATIENCE)
             seen[f"{name}_code"], seen[f"{name}_text"] = served.returncode, text[-3000:]
