@@ -293,6 +293,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "near_starts": {"scenario": scenario, "number": 1},
         "walking_people": {"world": jx.office(), "number": 1},
         "StabilityCost": {"limit": 0.5},
+        "StopCost": {"path": jx.geometry.line_path([0.0, 0.0], [2.0, 0.0])},
         "StateBoundsCost": {"lower": {"v": 0.0}},
         "StateNoise": {"std": [0.1] * 5},
         "TargetExplorer": {

@@ -154,6 +154,13 @@ def test_a_stop_attracts_and_what_is_overrun_is_paid(x: float, y: float, v: floa
         assert found == pytest.approx(expected, rel=2e-3, abs=2e-3)
     facing = float(stop_price(StopCost(line), state, belief)) - found
     assert facing == pytest.approx(0.5 * (1.0 - math.cos(yaw)), rel=1e-2, abs=1e-3)
+    # A heading at the end counts more the nearer that is, and the path less, also before a cusp.
+    away = max(50.0 - phi, math.hypot(x - 50.0, y))
+    near = math.exp(-((away / 0.4) ** 2))
+    for faces in (True, False):
+        turned = float(stop_price(StopCost(line, faces, -1.0), state, belief)) - found
+        expected = near * 1.3 / math.pi + (1.0 - near) * facing * faces
+        assert turned == pytest.approx(expected, rel=1e-2, abs=2e-3)
 
 
 def test_a_closed_path_has_no_end_to_stop_at() -> None:

@@ -68,10 +68,14 @@ def make_pilot():
 
 @pytest.fixture(scope="session")
 def make_follower():
-    """Return a maker of pilots that follow paths, all of one compiled program."""
+    """Return a maker of pilots that follow paths, all of one compiled program.
 
-    def make(**options) -> Pilot:
+    Those with an `end_heading`, to whatever heading, have another.
+    """
+
+    def make(end_heading=None, **options) -> Pilot:
         weights = arguments(NodeContouring(num_samples=128), mpcc)
+        weights["end_heading"] = end_heading
         following = mpcc(ROBOT, blank_path(), other=ObstacleCost(), **weights)
         scenario = scenario_in(blank(), (0.0, 0.0, 0.0), following.model)
         options, key = PilotOptions(**options), jax.random.key(5)

@@ -80,6 +80,24 @@ def test_a_goal_stays_until_it_takes_too_long_and_is_then_dropped_for_a_while(
     )
 
 
+def test_who_drives_tells_how_a_goal_ended(chooser, make_robot) -> None:
+    robot = make_robot()
+    look(robot)
+    grid, pose, nowhere = local_map(robot), np.array([1.0, 1.0, 0.0]), np.zeros(2)
+    chooser.finish(0.0, is_reached=True)
+    first = chooser.update(0.0, grid, nowhere, pose)
+    chooser.finish(1.0, is_reached=False)
+    assert (chooser.goal, chooser.num_dropped) == (None, 1)
+    second = chooser.update(1.0, grid, nowhere, pose)
+    assert np.hypot(*(second.pose - first.pose)[:2]) > 0.7
+    # A robot that has reached its goal and sees nothing new there is not sent there again.
+    chooser.finish(2.0, is_reached=True)
+    assert chooser.num_dropped == 1
+    third = chooser.update(2.0, grid, nowhere, pose)
+    assert third is None or np.hypot(*(third.pose - second.pose)[:2]) > 0.4
+    assert chooser.num_dropped == 2
+
+
 def test_a_goal_that_was_seen_from_afar_is_replaced(chooser, make_robot) -> None:
     robot = make_robot()
     look(robot)

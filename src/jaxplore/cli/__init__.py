@@ -23,7 +23,7 @@ from jaxplore.cli._decorators import path_option
 from jaxplore.cli._map_log_command import map_log
 from jaxplore.cli._memory import memory_option
 from jaxplore.cli._merge_command import merge
-from jaxplore.cli._node_commands import identify, node, replay, robot
+from jaxplore.cli._node_commands import controller, identify, node, replay, robot
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
@@ -42,7 +42,8 @@ def cli() -> None:
     its progress and avoids obstacles.
 
     `run` simulates one run, `compare` compares controllers or settings, `tune` searches for better
-    settings. `node` drives a robot over ROS 2, and `robot` simulates one for it.
+    settings. `node` drives a robot over ROS 2, `controller` drives it for nav2, and `robot`
+    simulates one.
     """
 
 
@@ -248,7 +249,7 @@ def import_nav2(
         _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
 
 
-for command in (identify, map_log, merge, node, replay, robot):
+for command in (controller, identify, map_log, merge, node, replay, robot):
     cli.add_command(command)
 
 

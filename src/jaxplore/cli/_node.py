@@ -27,8 +27,8 @@ from jaxplore.report.console import progress_bar
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.folder import lock_folder, write_whole
 from jaxplore.report.table import print_table
-from jaxplore.ros import control, goal, robot
-from jaxplore.ros.link import connect
+from jaxplore.ros import control, goal, path_action, robot
+from jaxplore.ros.link import connect, import_ros
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
@@ -61,6 +61,9 @@ def drive(options: dict[str, Any]) -> None:
 
     The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
     """
+    if options["mode"] == "controller":
+        # Without it nothing needs to be compiled.
+        path_action.check_nav2(import_ros())
     settings, node, folder = _drive_settings(options)
     if node.mode == "goal":
         choose_goals(settings, node)
@@ -72,10 +75,15 @@ def drive(options: dict[str, Any]) -> None:
         session = open_session(settings, node)
         pilot = build_pilot(settings, node, session=session)
         recording = None
-        # Connected first, so that other nodes are found while it compiles.
-        link = stack.enter_context(connect(control.NODE, node.namespace))
         say("Compiling, a few seconds ...", err=True)
-        pilot.prepare()
+        if node.mode == "controller":
+            # nav2's lifecycle manager does not wait for a node that is there.
+            pilot.prepare()
+            link = stack.enter_context(connect(node.server.name, node.namespace, is_managed=True))
+        else:
+            # Connected first, so that other nodes are found while it compiles.
+            link = stack.enter_context(connect(control.NODE, node.namespace))
+            pilot.prepare()
         with stop_requests() as is_stopped:
             driver = control.ControlNode(link, pilot, node, monitors)
             driver.check_alone()
@@ -216,12 +224,15 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
 
     The exit code is 130 if the user stopped it, and 1 if the robot was gone for too long.
     """
+    if node.goal_by == "action":
+        path_action.check_nav2(import_ros())
     chooser = build_goal_chooser(settings)
     with connect(control.NODE, node.namespace) as link, stop_requests() as is_stopped:
+        goals = node.goal_action if node.goal_by == "action" else node.goal_topic
         chosen = goal.GoalNode(link, chooser, node, settings.resolution)
         say(
             f"Choosing goals: {link.topic(node.map_topic)} and {link.topic(node.pose_topic)} to "
-            f"{link.topic(node.goal_topic)}; Ctrl-C ends it.",
+            f"{link.topic(goals)}; Ctrl-C ends it.",
             err=True,
         )
         reason = chosen.run(is_stopped)

@@ -96,6 +96,31 @@ def node(**options: Any) -> None:
 
 
 @click.command()
+@NAMESPACE
+@_drive_options
+@view_options
+@memory_option
+@cache_option
+def controller(**options: Any) -> None:
+    """Drive a robot along the paths of nav2, in place of its controller server.
+
+    Is a lifecycle node, controller_server, with the action FollowPath, so that nav2's lifecycle
+    manager and behaviour trees find what they know. It needs nav2_msgs. Tolerances, topics and the
+    costmap are settings of the section node.server:
+
+    \b
+      jaxplore controller --set node.pose_type=tf --set node.world_frame=map
+      jaxplore controller --settings robot.yaml --set node.server.obstacles=both
+
+    Ctrl-C stops the robot and saves the drive as a run folder.
+    """
+    from jaxplore.cli._node import drive
+
+    with interrupt_on_end_signals():
+        drive({**options, "mode": "controller", "record": None})
+
+
+@click.command()
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option(
     "--scan", "scan_topic", metavar="TOPIC", help="Topic of the scan.  [default: the only]"

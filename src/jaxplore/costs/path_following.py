@@ -39,6 +39,8 @@ NEAR = 1.0
 """Distance from a stop below which it attracts the robot [m]."""
 FACING = 0.5
 """Half the cost of facing away from the path, for a robot that does not drive backwards [m]."""
+TURNING_REACH = 0.4
+"""Distance from the end at which the heading there counts as 1/e of what it does there [m]."""
 
 
 class PathErrorCost(Cost):
@@ -154,18 +156,29 @@ class StopCost(Cost):
     `Belief.path_stop`, or the end of the path.
 
     A robot that shall turn after a cusp, `faces`, also pays 0.5 m (1 - cos) of its angle to the
-    path.
+    path. With a heading at the end of the path it pays instead, the more the nearer it is to the
+    end,
+
+        n |turn| / pi,   n = exp(-(d / 0.4 m)^2)
+
+    with d the distance to the end and `turn` the angle to that heading, and n is the share of it.
 
     Args:
         path: path to follow, an open one.
         faces: whether the robot turns to the path, and does not drive backwards along it; static.
+        heading: heading at the end of the path [rad]; any when absent.
 
     Raises:
-        ValueError: a closed path.
+        ValueError: a closed path, a heading that is not finite.
     """
 
     path: Path
-    faces: bool = eqx.field(static=True, default=True)
+    faces: bool = eqx.field(static=True)
+    heading: Scalar | None
+
+    def __init__(self, path: Path, faces: bool = True, heading: ArrayLike | None = None) -> None:
+        self.path, self.faces = path, faces
+        self.heading = None if heading is None else _checks.scalar("heading", heading)
 
     def __check_init__(self) -> None:
         _kinds.instance("path", self.path, Path)
@@ -182,10 +195,20 @@ class StopCost(Cost):
         to_go = jnp.maximum(stop - phi, away)
         beyond = overrun(state, to_go) + jnp.maximum(phi - stop, 0.0)
         total = jnp.minimum(to_go, NEAR) + OVERRUN * beyond
-        if not self.faces:
+        if not self.faces and self.heading is None:
             return total
+        facing = self._cost_of_facing(state, phi) if self.faces else jnp.zeros(())
+        if self.heading is None:
+            return total + facing
+        end = self.path.length
+        away = jnp.maximum(end - phi, length(*offset(state, self.path.at(end).position)))
+        near = jnp.exp(-((away / TURNING_REACH) ** 2))
+        turn = jnp.abs(jnp.arctan2(*sin_cos(state.heading - self.heading))) / jnp.pi
+        return total + facing + near * (turn - facing)
+
+    def _cost_of_facing(self, state: State, phi: Scalar) -> Scalar:
         point, (sin, cos) = self.path.at(phi), sin_cos(state.heading)
-        return total + FACING * (1.0 - (cos * point.cos + sin * point.sin))
+        return FACING * (1.0 - (cos * point.cos + sin * point.sin))
 
 
 class CorridorCost(Cost):

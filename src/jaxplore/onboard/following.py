@@ -12,7 +12,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from jaxplore._xla import on_device
 from jaxplore.belief.perception import Perception
-from jaxplore.dynamics.goal import GOAL_RADIUS, STANDING, Goal, Motion
+from jaxplore.costs.path_following import StopCost
+from jaxplore.dynamics.augmented import Augmented
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.goal import GOAL_RADIUS, GOAL_TOLERANCE, STANDING, Goal, Motion
 from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.curves import cusps
 from jaxplore.geometry.path import Path
@@ -41,17 +44,30 @@ class Following(DriveTask):
 
     Args:
         perception: perception of the pilot.
+        radius: distance from the end within which it is reached [m].
+        tolerance: greatest error of the heading at an end that has one [rad].
     """
 
     has_fields = False
 
-    def __init__(self, perception: Perception) -> None:
+    def __init__(
+        self,
+        perception: Perception,
+        radius: float = GOAL_RADIUS,
+        tolerance: float = GOAL_TOLERANCE,
+    ) -> None:
         super().__init__(perception)
+        self.radius, self.tolerance = radius, tolerance
+        self.max_speed = math.inf
+        """Greatest speed, where it is less than that of the robot [m/s]."""
         self._pieces: list[Path] = []
         self._first = np.zeros(2)
+        self._heading: float | None = None
         self._is_new = False
         self._path: Path | None = None
-        self._end = np.zeros(2)
+        self._goal = Goal(np.zeros(2))
+        self._unlimited: TaskControl | None = None
+        self._limit = math.inf
 
     @property
     def reference(self) -> np.ndarray:
@@ -66,11 +82,13 @@ class Following(DriveTask):
         other.take(np.array([[0.0, 0.0], [1.0, 0.0]]))
         other.update_control(driver, np.zeros(2), np.zeros(2, np.float32))
 
-    def take(self, points: np.ndarray) -> None:
+    def take(self, points: np.ndarray, heading: float | None = None) -> None:
         """Take a path, to be followed from the next command on.
 
         Args:
             points: (N, 2) points in the frame of the odometry [m].
+            heading: heading at the end of the path [rad]; any when absent. It needs a controller
+                with an `end_heading`, see `jaxplore.mpcc`.
 
         Raises:
             ValueError: as of `path_of_points`.
@@ -78,33 +96,52 @@ class Following(DriveTask):
         given = np.asarray(points, np.float64).reshape(-1, 2)
         # Far from the origin, single precision has centimetres only.
         first = given[0] if len(given) else np.zeros(2)
-        self._pieces, self._first, self._is_new = pieces_of_points(given - first), first, True
+        self._pieces, self._first, self._heading = pieces_of_points(given - first), first, heading
+        self._is_new = True
+
+    def leave(self) -> None:
+        """Leave the path: the robot brakes and stands until it gets another one."""
+        self._is_new, self._path, self._pieces, self.is_done = False, None, [], False
 
     def update_control(
         self, driver: TaskControl, offset: np.ndarray, place: np.ndarray
     ) -> TaskControl:
         """Return a driver for the newest path, from its point that is nearest to the robot."""
+        driver = self._limit_speed(driver)
         if not self._is_new:
             return driver
         self._is_new, path = False, self._pieces.pop(0)
         moved = (np.asarray(path.points, np.float64) + (self._first - offset)).astype(np.float32)
         path = eqx.tree_at(lambda each: each.points, path, on_device(moved))
-        self._path, self._end = path, np.asarray(path.points[-1], np.float64)
-        self.is_done = False
-        controller, robot = along_path((driver.controller, driver.robot), path)
+        end = np.asarray(path.points[-1], np.float64)
+        # In a cusp any heading is right.
+        heading = None if self._pieces else self._heading
+        self._goal = Goal(end, self.radius, heading, self.tolerance)
+        self._path, self.is_done = path, False
+        controller, robot = along_path((driver.controller, driver.robot), path, self._heading)
         expected = driver.expected.copy()
         expected[robot.state_names.index("phi")] = nearest_parameter(path, on_device(place))
         return TaskControl(controller, robot, expected)
 
-    def waits_for(self, place: np.ndarray, motion: Motion = STANDING) -> str:
+    def waits_for(self, pose: np.ndarray, motion: Motion = STANDING) -> str:
         """Return why the robot stands; empty if it drives."""
         if self._path is None:
-            return "no path yet"
-        if not self.is_done and Goal(self._end, GOAL_RADIUS).is_reached(place, motion):
+            return "" if self._is_new else "no path yet"
+        if not self.is_done and not self._is_new and self._goal.is_reached(pose, motion):
             # At a cusp the next piece begins.
             self._is_new = bool(self._pieces)
             self.is_done = not self._is_new
         return "at the end of the path" if self.is_done else ""
+
+    def _limit_speed(self, driver: TaskControl) -> TaskControl:
+        if self._unlimited is None:
+            self._unlimited = driver
+        if self.max_speed == self._limit:
+            return driver
+        self._limit, whole = self.max_speed, self._unlimited
+        given = driver.controller, driver.robot
+        controller, robot = slowed(given, (whole.controller, whole.robot), self._limit)
+        return TaskControl(controller, robot, driver.expected)
 
 
 def pieces_of_points(points: np.ndarray) -> list[Path]:
@@ -167,20 +204,60 @@ def blank_path() -> Path:
     return path_of_points(np.array([[0.0, 0.0], [1.0, 0.0]]))
 
 
-def along_path[T](tree: T, path: Path) -> T:
-    """Return a controller or a model with another path of `NUM_NODES` nodes; all else stays."""
+def along_path[T](tree: T, path: Path, heading: float | None = None) -> T:
+    """Return a controller or a model with another path of `NUM_NODES` nodes; all else stays.
+
+    The heading at the end [rad] is that of a `StopCost` which has one.
+    """
 
     def is_part(part: object) -> bool:
-        return isinstance(part, (Path, PathParameter))
+        return isinstance(part, (Path, PathParameter, StopCost))
 
     def replace(part: Any) -> Any:
         if isinstance(part, Path):
             return path
         if isinstance(part, PathParameter):
             return eqx.tree_at(lambda each: each.end, part, path.length)
+        if isinstance(part, StopCost):
+            part = eqx.tree_at(lambda each: each.path, part, path)
+            if part.heading is not None and heading is not None:
+                angle = on_device(np.asarray(heading, np.float32))
+                part = eqx.tree_at(lambda each: each.heading, part, angle)
         return part
 
     changed: T = jax.tree.map(replace, tree, is_leaf=is_part)
+    return changed
+
+
+def slowed[T](tree: T, whole: T, limit: float) -> T:
+    """Return a controller or a model whose robot, and its path parameter, obey a limit [m/s].
+
+    `whole` is the same tree with the greatest speeds that are possible.
+    """
+
+    def has_speed(part: object) -> bool:
+        return isinstance(part, Dynamics) and not isinstance(part, Augmented)
+
+    def replace(part: Any, full: Any) -> Any:
+        if not has_speed(part):
+            return part
+        bounds = {
+            name: np.minimum(np.asarray(getattr(full, name)), np.float32(limit))
+            for name in ("max_speed", "max_lateral_speed")
+            if hasattr(full, name)
+        }
+        if hasattr(full, "min_speed"):
+            bounds["min_speed"] = np.maximum(np.asarray(full.min_speed), np.float32(-limit))
+        # The speed of some models is a control, as is the rate of the path parameter.
+        is_speed = np.isin(full.control_names, ("v", "phi_rate"))
+        if is_speed.any():
+            low, high = np.asarray(full.control_min), np.asarray(full.control_max)
+            bounds["control_min"] = np.where(is_speed, np.maximum(low, -limit), low)
+            bounds["control_max"] = np.where(is_speed, np.minimum(high, limit), high)
+        new = [on_device(np.asarray(each, np.float32)) for each in bounds.values()]
+        return eqx.tree_at(lambda each: [getattr(each, name) for name in bounds], part, new)
+
+    changed: T = jax.tree.map(replace, tree, whole, is_leaf=has_speed)
     return changed
 
 

@@ -132,6 +132,7 @@ class GoalChooser:
         self._near = _checks.number("near", near, above=0.0)
         self._dropped: list[tuple[float, float, float]] = []
         self.goal: ChosenGoal | None = None
+        self._reached: np.ndarray | None = None
         self._until = -math.inf
         self._offset = np.zeros(2)
         self.num_dropped = 0
@@ -151,9 +152,7 @@ class GoalChooser:
         """
         self._dropped = [each for each in self._dropped if each[2] > now][-MOST_DROPPED:]
         if self.goal is not None and now > self._until and not self._is_near(pose):
-            self._dropped.append((*self.goal.pose[:2].tolist(), now + self._drop_time))
-            self.num_dropped += 1
-            self.goal = None
+            self.finish(now, is_reached=False)
         # A map that grows would compile anew at each size.
         padded = grid.settle().pad(power_of_two_shape(grid.shape))
         kept = None if self.goal is None or self._is_near(pose) else self._worth(padded, offset)
@@ -176,8 +175,30 @@ class GoalChooser:
             return None
         place = np.asarray(found.pose, np.float64) + np.append(offset, 0.0)
         self.goal = ChosenGoal(place, float(found.distance), float(found.information))
+        if self._reached is not None and math.dist(place[:2], self._reached[:2]) <= self._near:
+            # A robot that stands there, as far as its driver knows, learns nothing more there.
+            self.finish(now, is_reached=False)
+            return self.update(now, grid, offset, pose)
+        self._reached = None
         self._until = now + max(self._least, self._patience * self.goal.distance / self._speed)
         return self.goal
+
+    def finish(self, now: float, *, is_reached: bool) -> None:
+        """Give the present goal up, as who drives says: for ever, or for a while if he failed.
+
+        Args:
+            now: present time [s].
+            is_reached: whether it is reached; it is not chosen again at once.
+        """
+        if self.goal is None:
+            return
+        self._reached = None
+        if is_reached:
+            self._reached = self.goal.pose
+        else:
+            self._dropped.append((*self.goal.pose[:2].tolist(), now + self._drop_time))
+            self.num_dropped += 1
+        self.goal = None
 
     def _is_near(self, pose: np.ndarray) -> bool:
         assert self.goal is not None

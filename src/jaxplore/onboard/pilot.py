@@ -211,7 +211,7 @@ class Pilot:
         self._data = DataCheck(self.guard, self.options, self._history, max_range)
         self._number = 0
         self.num_replaced = 0
-        self._finished = ""
+        self._finished, self._stop_code = "", GOOD
         self._has_driven = False
 
     @property
@@ -279,6 +279,17 @@ class Pilot:
         return LastPlace(pose, self._poses.in_map(np.zeros(3), known.correction))
 
     @property
+    def motion(self) -> Motion:
+        """How fast the robot moves by its newest pose."""
+        last = self._history.last
+        return _motion(np.zeros(3) if last is None else last.twist)
+
+    @property
+    def stop_code(self) -> int:
+        """Why the data let the robot stand at the last command, see `control.stops.REASONS`."""
+        return self._stop_code
+
+    @property
     def finished(self) -> str:
         """Why the robot is done; empty before."""
         return self._finished
@@ -335,6 +346,8 @@ class Pilot:
         points: np.ndarray,
         received: Instant | None = None,
         sweep: Sweep | None = None,
+        *,
+        is_live: bool = False,
     ) -> None:
         """Take a scan; one with a point that is not finite is left out.
 
@@ -345,12 +358,13 @@ class Pilot:
             received: when it arrived; as `DriveClock.arrival` says when absent.
             sweep: when its directions were measured, for a robot that moves meanwhile; all at the
                 time of the scan when absent.
+            is_live: whether what measured it works for sure, so that scans may repeat themselves.
         """
         time = self._scan_stamps.time_of(stamp, *self._clock.arrival(stamp, received))
         if time is None or not np.isfinite(points).all():
             return
         former = self._scan
-        is_changed = former is None or not np.array_equal(former.points, points)
+        is_changed = is_live or former is None or not np.array_equal(former.points, points)
         self._data.add_scan(time, points, is_changed=is_changed)
         self._scan = TakenScan(time, scan, points, sweep)
         # While the robot brakes, nobody takes them.
@@ -407,6 +421,7 @@ class Pilot:
     def _command(self, now: float, elapsed: float) -> Command:
         self._take_known()
         code, problem = self._data.judge(now, self._twist, is_misfit=self._mapper.is_misfit)
+        self._stop_code = code
         # Scans are taken while they do not fit the map, so that the robot sees when they do again.
         is_trusted = code in (GOOD, MISFIT)
         if not is_trusted:
@@ -428,7 +443,7 @@ class Pilot:
         state = self._state(now)
         assert self._history.last is not None
         motion = _motion(self._history.last.twist)
-        waits_for = self.task.waits_for(np.asarray(state[:2]), motion)
+        waits_for = self.task.waits_for(self._local(self._history.last.pose), motion)
         if waits_for:
             return self._ramp_down(now, elapsed, Mode.WAITING, waits_for)
         if not self.options.is_obeyed:

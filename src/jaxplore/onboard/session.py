@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxplore import __version__
 from jaxplore._files import parse_json, read_bytes, replace_files
 from jaxplore._text import error_reason, printable_path, short_repr
+from jaxplore._version import __version__
 from jaxplore._xla import on_device
 from jaxplore.localisation.localiser import LocaliserState
 from jaxplore.maps.datum import FARTHEST

@@ -57,11 +57,11 @@ class DriveTask:
         """
         return driver
 
-    def waits_for(self, place: np.ndarray, motion: Motion = STANDING) -> str:
+    def waits_for(self, pose: np.ndarray, motion: Motion = STANDING) -> str:
         """Return why the robot stands; empty if it drives.
 
         Args:
-            place: (2,) position relative to the origin of the belief [m].
+            pose: (3,) pose relative to the origin of the belief [m, m, rad].
             motion: how fast it moves.
         """
         return ""

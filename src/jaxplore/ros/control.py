@@ -34,6 +34,8 @@ from jaxplore.ros.inputs import (
 )
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
+from jaxplore.ros.path_action import PathAction
+from jaxplore.ros.transforms import Transforms
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.node import NodeSettings
 from jaxplore.simulation.monitor import Monitor
@@ -158,6 +160,9 @@ class ControlNode:
     thread, maps and fields in a fourth. If a plan is not ready at the deadline, the next command of
     the last plan is sent and counted.
 
+    In the mode `controller` a `PathAction` says which path the robot follows, the link is a managed
+    one, and commands are sent while there is a goal only: others drive the robot meanwhile.
+
     `gave_way` says why the drive ended in favour of another node. `gave_up` says why it ended
     without the robot, see `Silence`. Both are empty otherwise.
     """
@@ -194,18 +199,27 @@ class ControlNode:
         self._publisher = DrivePublisher(link, pilot, settings.rollout_colour)
         self._session = None if pilot.session is None else SessionWriter(pilot, link.info)
         self._began = math.inf
+        self._last_pose: messages.Odometry | None = None
+        self._seen_at = -math.inf
         pose_topic = "/tf" if settings.pose_type == "tf" else link.topic(settings.pose_topic)
         self._scan_topic, self._pose_topic = link.topic(settings.scan_topic), pose_topic
         topics = (self._scan_topic, self._pose_topic)
-        self._silence = Silence(link, topics, settings.give_up_after)
+        self._action: PathAction | None = None
+        transforms: Transforms | None = None
+        if settings.mode == "controller":
+            self._transforms = transforms = Transforms()
+            self._action = PathAction(link, pilot, settings, self._place_of)
+        has_scans = self._action is None or self._action.has_scans
+        self._silence = Silence(link, topics[not has_scans :], settings.give_up_after)
         no_echo = NoEcho(settings.no_echo, pilot.task.perception.resolution)
         mount = lidar_mount(settings)
-        subscribe_scan(link, settings, pilot.sensor, mount, no_echo, self._take_scan)
-        subscribe_pose(link, settings, self._take_pose)
+        if has_scans:
+            subscribe_scan(link, settings, pilot.sensor, mount, no_echo, self._take_scan)
+        subscribe_pose(link, settings, self._take_pose, transforms)
         self._battery = pilot.task.perception.part(Battery)
         if self._battery is not None:
             subscribe_battery(link, settings, self._take_battery)
-        if isinstance(pilot.task, Following):
+        if isinstance(pilot.task, Following) and self._action is None:
             link.subscribe(ros.Path, settings.path_topic, partial(self._take_path, pilot.task))
         if pilot.finds_itself:
             link.subscribe(ros.PoseWithCovarianceStamped, INITIAL_POSE_TOPIC, self._take_told_pose)
@@ -229,17 +243,26 @@ class ControlNode:
             if value.ndim == 0:
                 node.declare_parameter(path, float(value))
         node.declare_parameter(ROLLOUT_COLOUR, self._publisher.rollout_colour)
+        for name, number in self._own_parameters.items():
+            node.declare_parameter(name, number)
         node.add_on_set_parameters_callback(self._take_parameters)
+
+    @property
+    def _own_parameters(self) -> dict[str, float]:
+        return {} if self._action is None else self._action.parameters
 
     def _take_parameters(self, changed: Sequence[Any]) -> Any:
         result = self.link.ros.SetParametersResult
         values = {each.name: each.value for each in changed}
         known = {name: each for name, each in values.items() if not name.startswith("use_sim_time")}
         colour = known.pop(ROLLOUT_COLOUR, self._publisher.rollout_colour)
+        own = {name: known.pop(name) for name in self._own_parameters if name in known}
         try:
             self._publisher.check_colour(colour)
             # Tried here, so that the caller gets the reason, and set in the thread of the loop.
             set_parameters(self.pilot.controller, known)
+            if self._action is not None:
+                self._action.change(own)
         except (ValueError, TypeError) as error:
             return result(successful=False, reason=" ".join(str(error).split()))
         with self._lock:
@@ -249,14 +272,38 @@ class ControlNode:
 
     def _take_scan(self, scan: messages.LaserScan) -> None:
         self._silence.hear(self._scan_topic)
+        seen: messages.LaserScan | None = scan
+        if self._action is not None:
+            seen = self._action.see(scan, self._last_pose)
+        if seen is None:
+            return
         with self._lock:
-            self._scans.append(scan)
+            self._scans.append(seen)
         self._wake.set()
 
     def _take_pose(self, pose: messages.Odometry) -> None:
         self._silence.hear(self._pose_topic)
+        self._last_pose = pose
         with self._lock:
             self._poses.append(pose)
+        if self._action is None or self._action.has_scans:
+            return
+        # What the robot sees of a costmap changes with its pose.
+        now, scenario = time.monotonic(), self.pilot.scenario
+        if now - self._seen_at >= float(scenario.steps_per_scan) * self.pilot.period:
+            self._seen_at = now
+            seen = self._action.see(None, pose)
+            if seen is not None:
+                with self._lock:
+                    self._scans.append(seen)
+                self._wake.set()
+
+    def _place_of(self, frame: str) -> np.ndarray | None:
+        """Return the pose (3,) of a frame in that of the robot's pose; None if it is not known."""
+        if frame == self._frame_name:
+            return np.zeros(3)
+        found = self._transforms.pose(self._frame_name, frame)
+        return None if found is None else found.pose
 
     def _take_battery(self, share: float, received: Instant) -> None:
         with self._lock:
@@ -310,6 +357,11 @@ class ControlNode:
 
     def check_alone(self) -> None:
         """Wait until other nodes are found; raise a `ValueError` if one of them sends commands."""
+        if self._action is not None:
+            # Beside nav2's controller server others drive: its behaviours, a joystick.
+            self.link.start()
+            self._commands.match()
+            return
         # What publishes scans has been there for longer, so others are found at about that time.
         self.link.wait_for(self.settings.scan_topic)
         others = self.link.other_publishers(self.settings.command_topic)
@@ -338,6 +390,8 @@ class ControlNode:
 
     def _warn_of_others(self) -> None:
         """Warn of other publishers of commands that came after this one."""
+        if self._action is not None:
+            return
         for other in self.link.other_publishers(self.settings.command_topic):
             self.link.warn("other publisher", self._describe_conflict(other))
 
@@ -353,7 +407,10 @@ class ControlNode:
             # Whatever happened, the robot is told to stand.
             self._worker.shutdown(cancel_futures=True)
             self._mapper.shutdown(cancel_futures=True)
-            self._commands.publish(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
+            if self._action is None or self._action.is_commanding:
+                self._commands.publish(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
+            if self._action is not None:
+                self._action.close(self.pilot.time)
             if self._session is not None:
                 self._session.end()
         self._publish_state(command)
@@ -381,7 +438,10 @@ class ControlNode:
                 self.pilot.finish("stopped")
                 ends_by = min(ends_by, now + MOST_BRAKING)
             command = self._next_command(now + self.settings.deadline * period)
-            self._commands.publish(command)
+            if self._action is None or self._action.is_commanding:
+                self._commands.publish(command)
+            if self._action is not None:
+                self._action.settle(self.pilot.time, command)
             self._changes.add(command)
             if arrived is not None and command.scan_time is not None:
                 self.latencies.scan_ms.add(1e3 * (time.monotonic() - arrived))
@@ -412,11 +472,15 @@ class ControlNode:
             goals, self._goals = self._goals, []
             parameters, self._parameters = self._parameters, {}
         pilot = self.pilot
+        if self._action is not None:
+            self._action.obey(pilot.time)
         for pose in poses:
             self._pose_frame = pose.frame or self._pose_frame
             pilot.add_odometry(pose.time, pose.pose, pose.twist, pose.received)
+        # A costmap has an age of its own.
+        live = {} if self._action is None else {"is_live": not self._action.has_scans}
         for scan in scans:
-            pilot.add_scan(scan.time, scan.scan, scan.points, scan.received, scan.sweep)
+            pilot.add_scan(scan.time, scan.scan, scan.points, scan.received, scan.sweep, **live)
         for share, heard in shares:
             assert self._battery is not None
             pilot.add_look(Battery.name, share * float(self._battery.capacity), heard)
@@ -483,6 +547,9 @@ class ControlNode:
     def _tell(self, command: Command) -> None:
         """Log what the pilot does, with the reason."""
         former, self._last_mode = self._last_mode, command.mode
+        if self._action is not None and not self._action.is_commanding:
+            # A server without a goal has nothing to tell.
+            return
         if former is not command.mode:
             reason = f": {command.reason}" if command.reason else ""
             self.link.info(f"{command.mode}{reason}")

@@ -1,5 +1,6 @@
 """The node that chooses goals on a map, and lets another program drive there."""
 
+import collections
 import json
 import math
 import threading
@@ -14,6 +15,7 @@ from jaxplore.onboard.goals import ChosenGoal, GoalChooser
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.inputs import Silence, subscribe_pose
 from jaxplore.ros.link import Link
+from jaxplore.ros.navigator import REJECTED, Navigator
 from jaxplore.settings.node import NodeSettings
 
 CHOICE_SECONDS = 1.0
@@ -28,6 +30,9 @@ class GoalNode:
     Goals are chosen on a map with cells of `resolution` [m]. A finer map is resampled, and a
     coarser one gives a warning. `gave_up` says why the run ended without the robot, see `Silence`;
     it is empty otherwise.
+
+    With `goal_by: action` the goals are those of nav2's `NavigateToPose`: one that is aborted or
+    cancelled is given up for a while, and a better one replaces it.
     """
 
     def __init__(
@@ -48,6 +53,11 @@ class GoalNode:
         # The map of a robot that stands may be published rarely.
         self._pose_topic = pose_topic
         self._silence = Silence(link, (pose_topic,), settings.give_up_after)
+        self._navigator: Navigator | None = None
+        if settings.goal_by == "action":
+            self._navigator = Navigator(link, settings.goal_action)
+        self.outcomes: collections.Counter[str] = collections.Counter()
+        """How many goals of the action ended in which way."""
         self.num_goals = 0
         self.gave_up = ""
 
@@ -72,6 +82,15 @@ class GoalNode:
 
     def run(self, is_stopped: threading.Event) -> str:
         """Publish goals until no place is worth a visit or the event is set; return the reason."""
+        try:
+            return self._choose(is_stopped)
+        finally:
+            if self._navigator is not None:
+                self._navigator.cancel()
+                # The last messages need a moment to leave.
+                time.sleep(0.2)
+
+    def _choose(self, is_stopped: threading.Event) -> str:
         without_goal_since = math.inf
         shown: ChosenGoal | None = None
         clock, stamps = DriveClock(CHOICE_SECONDS), Stamps(CHOICE_SECONDS)
@@ -114,6 +133,12 @@ class GoalNode:
                 )
                 self._publish_state("waiting", "pose and map are in different frames")
                 continue
+            if self._navigator is not None:
+                problem = self._navigator.problem
+                shown = self._take_outcome(self._navigator, now, shown)
+                if problem:
+                    self._publish_state("waiting", problem)
+                    continue
             goal = self.chooser.update(now, *given, pose.pose)
             if goal is None:
                 without_goal_since = min(without_goal_since, now)
@@ -132,11 +157,28 @@ class GoalNode:
             self._publish_state("driving", "")
         return "stopped"
 
+    def _take_outcome(
+        self, navigator: Navigator, now: float, shown: ChosenGoal | None
+    ) -> ChosenGoal | None:
+        """Obey how the present goal ended; return the goal that nav2 still drives to."""
+        outcome = navigator.take()
+        if outcome is None:
+            return shown
+        self.outcomes[outcome.status] += 1
+        self.link.info(f"goal {outcome}")
+        # A goal that was rejected is sent again.
+        if outcome.status != REJECTED:
+            self.chooser.finish(now, is_reached=outcome.status == "succeeded")
+        return None
+
     def _publish_goal(self, goal: ChosenGoal, now: float, frame: str) -> None:
         message = self.link.ros.PoseStamped()
         messages.fill_header(message.header, now, frame)
         messages.fill_pose(message.pose, goal.pose)
-        self._goals.publish(message)
+        if self._navigator is None:
+            self._goals.publish(message)
+        else:
+            self._navigator.send(goal.pose, now, frame)
         x, y, _ = goal.pose
         self.link.info(
             f"goal ({x:.2f}, {y:.2f}), {goal.distance:.1f} m away, {goal.information:.0f} nat"
@@ -150,6 +192,7 @@ class GoalNode:
                 "reason": reason,
                 "goals": self.num_goals,
                 "dropped": self.chooser.num_dropped,
+                "outcomes": dict(self.outcomes),
                 "warnings": sum(self.link.num_warnings.values()),
             }
         )

@@ -94,16 +94,22 @@ class _FrameCheck:
 
 
 def subscribe_pose(
-    link: Link, settings: NodeSettings, take: Callable[[messages.Odometry], None]
+    link: Link,
+    settings: NodeSettings,
+    take: Callable[[messages.Odometry], None],
+    transforms: Transforms | None = None,
 ) -> None:
     """Subscribe to the pose of the robot: odometry, a localisation, or transforms.
 
     `take` gets each pose with its arrival. Messages that are malformed, or of another frame than
-    the first, give a warning. Transforms whose package is missing raise a `ValueError`.
+    the first, give a warning. Transforms whose package is missing raise a `ValueError`. Those that
+    are heard are kept in `transforms`; without it they are heard for a pose alone.
     """
     if settings.pose_type == "tf":
-        _subscribe_transforms(link, settings, take)
+        _subscribe_to_chain(link, settings, take, transforms or Transforms())
         return
+    if transforms is not None and link.ros.TFMessage is not None:
+        _subscribe_transforms(link, transforms, lambda: None)
     ros, topic = link.ros, link.topic(settings.pose_topic)
     check = _FrameCheck(topic)
 
@@ -118,28 +124,24 @@ def subscribe_pose(
     link.subscribe(ros.Odometry if is_odometry else ros.PoseWithCovarianceStamped, topic, take_pose)
 
 
-def _subscribe_transforms(
-    link: Link, settings: NodeSettings, take: Callable[[messages.Odometry], None]
+def _subscribe_to_chain(
+    link: Link,
+    settings: NodeSettings,
+    take: Callable[[messages.Odometry], None],
+    transforms: Transforms,
 ) -> None:
     """Subscribe to the transforms, and follow them from the world's frame to the robot's."""
-    ros, transforms = link.ros, Transforms()
     names = link.frame(settings.world_frame), link.frame(settings.robot_frame)
-    if ros.TFMessage is None:
+    if link.ros.TFMessage is None:
         raise ValueError(
             "node.pose_type is 'tf', and tf2_msgs is not installed; accepted: odometry or pose"
         )
     began, taken = math.inf, -1.0
 
-    def hear(message: Any, *, is_static: bool) -> None:
+    def follow() -> None:
         nonlocal began, taken
-        received, now, reason = link.instant(), time.monotonic(), None
+        received, now = link.instant(), time.monotonic()
         began = min(began, now)
-        for each in message.transforms:
-            try:
-                transforms.add(each, is_static=is_static)
-            except (ValueError, TypeError, OverflowError, AttributeError) as error:
-                # That of a gripper must not hide that of the wheels.
-                reason = error
         pose = transforms.pose(*names)
         if pose is None:
             if now - began >= CHAIN_SECONDS:
@@ -149,12 +151,28 @@ def _subscribe_transforms(
             taken = pose.time
             link.warn_of_clock("/tf", pose.time, received)
             take(pose._replace(received=received))
+
+    _subscribe_transforms(link, transforms, follow)
+
+
+def _subscribe_transforms(link: Link, transforms: Transforms, follow: Callable[[], None]) -> None:
+    """Subscribe to the transforms and keep them; `follow` is called after each message."""
+
+    def hear(message: Any, *, is_static: bool) -> None:
+        reason = None
+        for each in message.transforms:
+            try:
+                transforms.add(each, is_static=is_static)
+            except (ValueError, TypeError, OverflowError, AttributeError) as error:
+                # That of a gripper must not hide that of the wheels.
+                reason = error
+        follow()
         if reason is not None:
             raise reason
 
     for topic, is_static in (("/tf", False), ("/tf_static", True)):
         handle = partial(hear, is_static=is_static)
-        link.subscribe(ros.TFMessage, topic, handle, is_kept=is_static, depth=TRANSFORMS_KEPT)
+        link.subscribe(link.ros.TFMessage, topic, handle, is_kept=is_static, depth=TRANSFORMS_KEPT)
 
 
 def subscribe_battery(

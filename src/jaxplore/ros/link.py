@@ -29,8 +29,15 @@ MESSAGES = {
     "std_msgs": ("String",),
 }
 """Packages of messages that every mode needs, and their messages."""
-FURTHER = {"tf2_msgs": ("TFMessage",), "visualization_msgs": ("Marker", "MarkerArray")}
-"""Packages without which a node runs, but without transforms or markers."""
+FURTHER = {
+    "bond.msg": ("Status",),
+    "nav2_msgs.action": ("FollowPath", "NavigateToPose"),
+    "nav2_msgs.msg": ("SpeedLimit",),
+    "std_srvs.srv": ("Trigger",),
+    "tf2_msgs.msg": ("TFMessage",),
+    "visualization_msgs.msg": ("Marker", "MarkerArray"),
+}
+"""Modules without which a node runs, but without what they are for."""
 DISCOVERY_SECONDS, MOST_DISCOVERY_SECONDS = 1.5, 10.0
 """Least and greatest time after the connection in which other nodes are found [s]."""
 QUIET_SECONDS = 5.0
@@ -46,7 +53,7 @@ def import_ros() -> Any:
     try:
         found["rclpy"] = importlib.import_module("rclpy")
         for package, names in MESSAGES.items():
-            found |= _messages(package, names)
+            found |= _messages(f"{package}.msg", names)
     except ImportError as error:
         # A broken installation says more in its own words than a name.
         raise ValueError(
@@ -54,39 +61,47 @@ def import_ros() -> Any:
             "ROS was sourced, with a Python of its version, or pip install '.[ros]' in a clone of "
             "jaxplore"
         ) from None
-    for package, names in FURTHER.items():
+    for module, names in FURTHER.items():
         try:
-            found |= _messages(package, names)
+            found |= _messages(module, names)
         except ImportError:
             found |= dict.fromkeys(names)
-    try:
-        found["Trigger"] = importlib.import_module("std_srvs.srv").Trigger
-    except ImportError:
-        found["Trigger"] = None
     return SimpleNamespace(**found)
 
 
-def _messages(package: str, names: tuple[str, ...]) -> dict[str, Any]:
-    module = importlib.import_module(f"{package}.msg")
-    return {name: getattr(module, name) for name in names}
+def _messages(name: str, names: tuple[str, ...]) -> dict[str, Any]:
+    module = importlib.import_module(name)
+    # An older distribution may lack one of them.
+    return {each: getattr(module, each, None) for each in names}
 
 
 class Link:
     """A ROS 2 node with its publishers, subscriptions and warnings.
 
     Callbacks of messages run in the thread of the link, so they must be short. `ros` are the
-    packages of `import_ros`. The namespace has no leading slash; there is none when absent.
+    packages of `import_ros`. The namespace has no leading slash; there is none when absent. A
+    managed node has a lifecycle, see `manage`, and is deaf until `start`.
     """
 
-    def __init__(self, name: str, ros: Any, namespace: str | None = None) -> None:
+    def __init__(
+        self, name: str, ros: Any, namespace: str | None = None, *, is_managed: bool = False
+    ) -> None:
         self.ros, self.namespace = ros, namespace
-        self.node = ros.rclpy.create_node(name, namespace=f"/{namespace or ''}")
+        make = ros.rclpy.create_node
+        if is_managed:
+            make = importlib.import_module("rclpy.lifecycle").LifecycleNode
+        self.node = make(name, namespace=f"/{namespace or ''}")
         self._executor = ros.rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
         self._began = time.monotonic()
         self._warned: dict[str, float] = {}
         self.num_warnings: collections.Counter[str] = collections.Counter()
+        if not is_managed:
+            self.start()
+
+    def start(self) -> None:
+        """Begin to call what messages and services are for."""
         self._thread.start()
 
     def _spin(self) -> None:
@@ -228,6 +243,38 @@ class Link:
 
         self.node.create_service(self.ros.Trigger, name, serve)
 
+    def manage(self, handle: Callable[[str], None]) -> None:
+        """Let the transitions of a managed node call a function with their names.
+
+        The names are `configure`, `activate`, `deactivate`, `cleanup` and `shutdown`. It runs in
+        the thread of the link. What it finds wrong, a `ValueError`, is a failure with a warning.
+        """
+        lifecycle = importlib.import_module("rclpy.lifecycle")
+        results = importlib.import_module("rclpy.lifecycle.node").TransitionCallbackReturn
+
+        def change(name: str) -> Any:
+            try:
+                handle(name)
+            except ValueError as error:
+                self.warn("lifecycle", f"{name}: {error}")
+                return results.FAILURE
+            return results.SUCCESS
+
+        names = ("configure", "activate", "deactivate", "cleanup", "shutdown")
+        calls = {f"on_{name}": lambda _, __, name=name: change(name) for name in names}
+        self.node.add_managed_entity(type("Transitions", (lifecycle.ManagedEntity,), calls)())
+
+    def repeat(self, period: float, handle: Callable[[], None]) -> Callable[[], object]:
+        """Call a function each period [s] of real time; return a function that ends it."""
+        clock = importlib.import_module("rclpy.clock")
+        steady = clock.Clock(clock_type=clock.ClockType.STEADY_TIME)
+        timer = self.node.create_timer(period, handle, clock=steady)
+        return lambda: self.node.destroy_timer(timer)
+
+    def wake(self) -> None:
+        """Let the thread of the link look at what another thread has finished."""
+        self._executor.wake()
+
     def _quality(self, is_kept: bool, *, is_input: bool, depth: int | None = None) -> Any:
         qos = self.ros.rclpy.qos
         if is_kept:
@@ -246,12 +293,13 @@ class Link:
     def close(self) -> None:
         """Stop spinning, and remove the node from the network."""
         self._executor.shutdown(timeout_sec=1.0)
-        self._thread.join(timeout=2.0)
+        if self._thread.ident is not None:
+            self._thread.join(timeout=2.0)
         self.node.destroy_node()
 
 
 @contextmanager
-def connect(name: str, namespace: str | None = None) -> Iterator[Link]:
+def connect(name: str, namespace: str | None = None, *, is_managed: bool = False) -> Iterator[Link]:
     """Connect to ROS 2 for the duration of a block, with a node as of `Link`.
 
     It raises a `ValueError` if ROS 2 is missing or cannot be started.
@@ -260,7 +308,7 @@ def connect(name: str, namespace: str | None = None) -> Iterator[Link]:
     # Importing the package does not import these modules.
     import importlib
 
-    for module in ("rclpy.executors", "rclpy.qos", "rclpy.signals"):
+    for module in ("rclpy.action", "rclpy.executors", "rclpy.qos", "rclpy.signals", "rclpy.task"):
         importlib.import_module(module)
     try:
         # Ctrl-C is this program's, which stops the robot before it leaves the network.
@@ -268,7 +316,7 @@ def connect(name: str, namespace: str | None = None) -> Iterator[Link]:
     except RuntimeError as error:
         raise ValueError(f"ROS 2 cannot be started: {' '.join(str(error).split())}") from None
     try:
-        link = Link(name, ros, namespace)
+        link = Link(name, ros, namespace, is_managed=is_managed)
         try:
             yield link
         finally:

@@ -29,6 +29,20 @@ def grid_of(message: Any, offset: np.ndarray | None = None) -> OccupancyGrid:
     the grid is made relative to the position `offset` (2,) [m]: far from the origin, single
     precision has centimetres only.
     """
+    values, resolution = cells_of(message)
+    # A table is exact, and avoids an array of doubles of the size of the map.
+    table = np.append(np.arange(101) / 100.0, 0.5).astype(np.float32)
+    table[50] = np.nextafter(table[50], np.float32(1.0))
+    # Negative indices count from the end: -1 is the entry of unknown cells.
+    probability = table[values]
+    origin = messages.pose_of(message.info.origin)
+    if offset is not None:
+        origin = origin - np.append(offset, 0.0)
+    return OccupancyGrid(probability, resolution, origin)
+
+
+def cells_of(message: Any) -> tuple[np.ndarray, float]:
+    """Return the values (H, W) of a `nav_msgs/OccupancyGrid`, and the side of a cell [m]."""
     info = message.info
     rows, columns = int(info.height), int(info.width)
     if not (rows > 0 and columns > 0 and rows * columns <= MOST_CELLS):
@@ -43,17 +57,9 @@ def grid_of(message: Any, offset: np.ndarray | None = None) -> OccupancyGrid:
         )
     if values.min() < UNKNOWN or values.max() > 100:
         raise ValueError(f"data spans {values.min()} to {values.max()}; accepted: -1, or 0 to 100")
-    # A table is exact, and avoids an array of doubles of the size of the map.
-    table = np.append(np.arange(101) / 100.0, 0.5).astype(np.float32)
-    table[50] = np.nextafter(table[50], np.float32(1.0))
-    # Negative indices count from the end: -1 is the entry of unknown cells.
-    probability = table[values].reshape(rows, columns)
     resolution = _checks.number("resolution", float(info.resolution), above=0.0)
     # The field is in single precision: 0.05 comes as 0.05000000074505806.
-    origin = messages.pose_of(info.origin)
-    if offset is not None:
-        origin = origin - np.append(offset, 0.0)
-    return OccupancyGrid(probability, round(resolution, 7), origin)
+    return values.reshape(rows, columns), round(resolution, 7)
 
 
 def fill_grid(

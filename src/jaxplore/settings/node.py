@@ -5,13 +5,14 @@ from typing import Annotated, Any, Literal
 
 from jaxplore.onboard.motors import Motors
 from jaxplore.onboard.options import PilotOptions
+from jaxplore.onboard.path_server import ServerOptions
 from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.report.drawing.rollout_costs import WEIGHT
 from jaxplore.sensing.no_echo import NoEchoRule
 from jaxplore.settings.controllers import ContouringNumbers
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.readers import EVERY, Readers
-from jaxplore.settings.ros_names import Namespace, Topic
+from jaxplore.settings.ros_names import Namespace, NodeName, Topic
 from jaxplore.settings.sections import (
     Duration,
     Latency,
@@ -28,9 +29,10 @@ def _modes(text: str, *modes: str) -> Readers:
     return Readers(text, lambda settings: settings.node.mode in modes, "node.mode")
 
 
-DRIVING = _modes("the modes control and follow", "control", "follow")
+DRIVING = _modes("the modes control, follow and controller", "control", "follow", "controller")
 EXPLORING, FOLLOWING = _modes("the mode control", "control"), _modes("the mode follow", "follow")
-CHOOSING = _modes("the mode goal", "goal")
+ALONG_PATHS = _modes("the modes follow and controller", "follow", "controller")
+SERVING, CHOOSING = _modes("the mode controller", "controller"), _modes("the mode goal", "goal")
 GOAL_TOPIC = Readers(
     "the mode goal, and nodes that know a map",
     lambda settings: settings.node.mode == "goal" or settings.node.map is not None,
@@ -51,7 +53,7 @@ class NodeContouring(ContouringNumbers):
     """Contouring control along the paths of another program, by a robot on a floor: see
     `jaxplore.mpcc`."""
 
-    readers = FOLLOWING
+    readers = ALONG_PATHS
 
     temperature: Positive = setting(
         mpcc, "temperature", differs="drive.node.contouring.temperature"
@@ -83,6 +85,37 @@ class MotorSettings(Section):
     max_speed: Bounds = setting(Motors, "max_speed")
 
 
+class NodeServer(Section):
+    """The controller server for nav2, in the mode `controller`.
+
+    Args:
+        name: name of the node, which nav2's lifecycle manager knows.
+        action: name of the action, `nav2_msgs/action/FollowPath`.
+        speed_limit_topic: topic of limits of the speed, `nav2_msgs/SpeedLimit`.
+        obstacles: what the robot keeps clear of: the `scan` of the lidar, the `costmap`, or the
+            nearer one of `both` in each direction.
+        costmap_topic: topic of the costmap, `nav_msgs/OccupancyGrid`.
+        costmap_max_age: greatest age of the costmap [s]; the robot brakes beyond it.
+    """
+
+    readers = SERVING
+
+    name: NodeName = "controller_server"
+    action: Topic = "follow_path"
+    speed_limit_topic: Topic = "speed_limit"
+    obstacles: Literal["scan", "costmap", "both"] = "scan"
+    costmap_topic: Topic = "local_costmap/costmap"
+    costmap_max_age: Positive = 2.0
+    controller_id: str = setting(ServerOptions, "controller_id")
+    goal_checker_id: str = setting(ServerOptions, "goal_checker_id")
+    progress_checker_id: str = setting(ServerOptions, "progress_checker_id")
+    xy_goal_tolerance: Positive = setting(ServerOptions, "xy_goal_tolerance")
+    yaw_goal_tolerance: Positive = setting(ServerOptions, "yaw_goal_tolerance")
+    required_movement_radius: Positive = setting(ServerOptions, "required_movement_radius")
+    movement_time_allowance: Positive = setting(ServerOptions, "movement_time_allowance")
+    failure_tolerance: Real = setting(ServerOptions, "failure_tolerance")
+
+
 class NodeSettings(Section):
     """The node that drives a robot, in the section `node` of a settings file.
 
@@ -95,7 +128,8 @@ class NodeSettings(Section):
         namespace: namespace of the node, so that several robots drive in one graph; none when
             absent.
         mode: `control` explores; `follow` drives along the paths of another program; `goal`
-            chooses goals on a map, and nav2 drives.
+            chooses goals on a map, and nav2 drives; `controller` drives along the paths of nav2, in
+            place of its controller server.
         pose: whose pose the robot drives by: `external`, that of the topic, such as of a SLAM;
             `internal`, its own by scans and closed loops, from an odometry that drifts.
         session: folder that keeps the map, the pose graph, what was given up and the settings, so
@@ -108,6 +142,9 @@ class NodeSettings(Section):
         map_topic: topic of the map, for goals.
         goal_topic: topic of the goals: those that the mode `goal` publishes, and those to which a
             robot that knows a map drives.
+        goal_by: how goals are told: by the `topic`, or by nav2's `action` `NavigateToPose`, whose
+            results decide as well.
+        goal_action: name of that action.
         path_topic: topic of the paths to follow, `nav_msgs/Path`.
         scan_topic: topic of the lidar, `sensor_msgs/LaserScan`.
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
@@ -134,19 +171,22 @@ class NodeSettings(Section):
         give_up_after: time without scans, or without poses, after which the node ends [s]; it waits
             for ever when absent.
         motors: motors of the base, for whose delay, lag and dead zone the commands allow.
-        contouring: contouring control along the paths of the mode `follow`.
+        contouring: contouring control along the paths of the modes `follow` and `controller`.
+        server: the controller server of the mode `controller`.
     """
 
     readers = DRIVING
 
     namespace: Annotated[Namespace | None, EVERY] = None
-    mode: Annotated[Literal["control", "follow", "goal"], EVERY] = "control"
+    mode: Annotated[Literal["control", "follow", "goal", "controller"], EVERY] = "control"
     pose: Annotated[Literal["external", "internal"], EVERY] = "external"
     session: Annotated[str | None, DRIVING] = None
     map: Annotated[str | None, DRIVING] = None
     map_frame: Annotated[str, LOCALISING] = "map"
     map_topic: Annotated[Topic, CHOOSING] = "map"
     goal_topic: Annotated[Topic, GOAL_TOPIC] = "goal_pose"
+    goal_by: Annotated[Literal["topic", "action"], CHOOSING] = "topic"
+    goal_action: Annotated[Topic, CHOOSING] = "navigate_to_pose"
     path_topic: Annotated[Topic, FOLLOWING] = "plan"
     scan_topic: Topic = "scan"
     pose_topic: Annotated[Topic, EVERY] = "odom"
@@ -177,7 +217,8 @@ class NodeSettings(Section):
     done_after: Annotated[Positive, NOT_FOLLOWING] = setting(PilotOptions, "done_after")
     returns: Annotated[bool, EXPLORING] = setting(PilotOptions, "returns")
     motors: MotorSettings = MotorSettings()
-    contouring: Annotated[NodeContouring, FOLLOWING] = NodeContouring()
+    contouring: Annotated[NodeContouring, ALONG_PATHS] = NodeContouring()
+    server: Annotated[NodeServer, SERVING] = NodeServer()
 
 
 class DriveSettings(Section):

@@ -24,6 +24,11 @@ _RULE = (
 )
 NAMESPACE_RULE = f"a namespace such as robot1: {_RULE}"
 """Accepted namespaces, for messages."""
+NODE_RULE = (
+    f"a name such as controller_server: letters, digits and _, at most {MOST_CHARACTERS} "
+    "characters, and no digit first"
+)
+"""Accepted names of nodes, for messages."""
 TOPIC_RULE = f"a topic such as scan or /scan: {_RULE}"
 """Accepted topics, for messages."""
 
@@ -56,6 +61,14 @@ def _topic(value: str) -> str:
         raise PydanticCustomError("ros_name", TOPIC_RULE) from None
 
 
+def _node(value: str) -> str:
+    if "/" in value or len(value) > MOST_CHARACTERS or not _NAMESPACE.fullmatch(value):
+        raise PydanticCustomError("ros_name", NODE_RULE)
+    return value
+
+
+NodeName = Annotated[str, AfterValidator(_node)]
+"""Name of a node."""
 Namespace = Annotated[str, AfterValidator(_namespace)]
 """A namespace, without its leading slash."""
 Topic = Annotated[str, AfterValidator(_topic)]

@@ -172,6 +172,7 @@ def mpcc(
     other: Cost | None = None,
     corridor: bool | None = None,
     corridor_margin: ArrayLike = 0.05,
+    end_heading: ArrayLike | None = None,
     horizon: int = 30,
     num_samples: int = 512,
     temperature: ArrayLike = 30.0,
@@ -216,6 +217,7 @@ def mpcc(
         other: further costs, such as `avoidance_cost()`.
         corridor: whether to keep within the path's half widths; when absent, if the path has them.
         corridor_margin: distance kept from the corridor's edges [m].
+        end_heading: heading at the end of an open path [rad]; any when absent.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
         temperature: temperature of the softmax; the least one of the adaptive softmax [units of
@@ -235,8 +237,9 @@ def mpcc(
 
     Raises:
         ValueError: a corridor for a path without half widths, a path that is narrower than the
-            robot, negative weights, a robot without a `max_speed` if none is given, a
-            `comfort_weight` for a robot without a time derivative, or a value that a part rejects.
+            robot, negative weights, a robot without a `max_speed` if none is given, a heading at
+            the end of a closed path, a `comfort_weight` for a robot without a time derivative, or a
+            value that a part rejects.
     """
     _checks.scalar("corridor_margin", corridor_margin, at_least=0.0)
     _checks.positive_int("num_outcomes", num_outcomes, at_most=MOST_OUTCOMES)
@@ -247,6 +250,8 @@ def mpcc(
     _checks.scalar("max_longitudinal", max_longitudinal, at_least=0.0)
     if max_speed is not None:
         _checks.scalar("max_speed", max_speed, above=0.0)
+    if end_heading is not None and path.is_closed:
+        raise ValueError("end_heading is given for a closed path; accepted: None, it has no end")
     contouring, lag = ContouringCost(path), LagCost(path)
     step = _checks.scalar("dt", dt, above=0.0)
     gain = _checks.scalar("progress_weight", progress_weight, at_least=0.0)
@@ -257,7 +262,7 @@ def mpcc(
     if not path.is_closed:
         # A car drives backwards if it can; a robot that turns on the spot does so.
         reverses = robot.can_reverse and bool(robot.turning_radius > 0.0)
-        total = total + (gain * step) * StopCost(path, faces=not reverses)
+        total = total + (gain * step) * StopCost(path, not reverses, end_heading)
     if path.has_room if corridor is None else corridor:
         keep = CorridorCost(path, margin=corridor_margin)
         keep.check(robot)

@@ -106,7 +106,7 @@ def _controllers(
     settings: Settings, node: NodeSettings | None, resolution: float
 ) -> Iterator[Part]:
     robot = settings.robot
-    if node is not None and node.mode == "follow":
+    if node is not None and node.mode in ("follow", "controller"):
         given = node.contouring
         yield estimate_rollouts("node.contouring", robot, given, progress=1)
     elif settings.architecture == "portfolio":

@@ -204,11 +204,11 @@ def build_pilot(
     motors = Motors(**arguments(node.motors, Motors))
     numbers = arguments(node, PilotOptions)
     options = PilotOptions(**numbers, is_obeyed=is_obeyed, motors=motors)
-    if node.mode == "follow":
+    if node.mode in ("follow", "controller"):
         if settings.adaptive_horizon.rule is not None:
             raise ValueError(
                 f"setting adaptive_horizon.rule is {settings.adaptive_horizon.rule!r} with "
-                "node.mode follow; accepted: none"
+                f"node.mode {node.mode}; accepted: none"
             )
         following = _build_following(settings, node, robot, told)
         scenario = build_scenario(settings, following.model, world)
@@ -312,6 +312,9 @@ def _build_following(
         near = near + MovingObstacleCost()
     avoidance = _checks.scalar("obstacle_weight", given.obstacle_weight) * near
     numbers = arguments(node.contouring, mpcc)
+    if node.mode == "controller":
+        # The angle is that of each path.
+        numbers["end_heading"] = 0.0
     if not isinstance(robot, ContinuousDynamics):
         numbers["comfort_weight"] = None
     return mpcc(robot, blank_path(), other=avoidance, **numbers)
