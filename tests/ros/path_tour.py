@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -104,7 +105,7 @@ def main(folder: Path, seconds: float) -> dict:
                 each.kill()
     return {
         "goals": len(ends),
-        "ends": {str(each): ends.count(each) for each in set(ends)},
+        "ends": Counter(map(str, ends)),
         "paths": renewed,
         "metres": float(driven.sum()),
         "seconds": time.monotonic() - began,
