@@ -10,7 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import MPPI, Ackermann, KinematicBicycle, Quadrotor, Rectangle, State, Unicycle
+from jaxplore import (
+    MPPI,
+    Ackermann,
+    KinematicBicycle,
+    Quadrotor,
+    Rectangle,
+    State,
+    Unicycle,
+    mpcc,
+)
 from jaxplore.belief.belief import Belief
 from jaxplore.costs import extract
 from jaxplore.costs.path_following import (
@@ -167,6 +176,8 @@ def test_a_closed_path_has_no_end_to_stop_at() -> None:
     ring = path_through([(0, 0), (4, 0), (4, 4)], is_closed=True)
     with pytest.raises(ValueError, match="path is closed; accepted: an open path"):
         StopCost(ring)
+    with pytest.raises(ValueError, match=r"end_heading is 0\.3 for a closed path; accepted: None"):
+        mpcc(ROBOTS["bicycle"], ring, end_heading=0.3, horizon=4, num_samples=8)
 
 
 def test_the_objects_that_plan_measure() -> None:

@@ -27,6 +27,8 @@ def run_with_nav2(tmp_path_factory):
         environment = ros_environment()
         paths = [environment["PYTHONPATH"], str(types)]
         environment["PYTHONPATH"] = os.pathsep.join(paths)
+        libraries = [str(types / "lib"), environment.get("LD_LIBRARY_PATH", "")]
+        environment["LD_LIBRARY_PATH"] = os.pathsep.join(libraries)
         done = subprocess.run(
             [sys.executable, str(HERE / program), *arguments],
             env=environment,

@@ -3,8 +3,8 @@
     python tests/ros/interfaces.py FOLDER
 
 makes them with the generators of ROS and the C compiler of this machine, below FOLDER, which is
-then a place for `PYTHONPATH`. All of a package is one extension module, with the type support of
-Fast DDS alone.
+then a place for `PYTHONPATH`, and its folder `lib` one for `LD_LIBRARY_PATH`. All of a package is
+one extension module, which has the names of its libraries of type support as well.
 """
 
 import importlib.util
@@ -19,7 +19,8 @@ HERE = Path(__file__).parent
 PACKAGES = HERE / "bond", HERE / "nav2_msgs"
 PREFIX = Path(sys.prefix)
 SHARE, INCLUDE, LIBRARIES = PREFIX / "share", PREFIX / "include", PREFIX / "lib"
-SUPPORT = "rosidl_typesupport_fastrtps_c"
+SUPPORT, INTROSPECTION = "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"
+SUPPORTS = "rosidl_typesupport_c", SUPPORT, INTROSPECTION
 DEPENDENCIES = (
     "action_msgs",
     "builtin_interfaces",
@@ -70,6 +71,7 @@ def generate(name: str, tuples: list[str], out: Path, generated: Path) -> None:
     from rosidl_generator_type_description import generate_type_hash
     from rosidl_typesupport_c import generate_c as generate_dispatch
     from rosidl_typesupport_fastrtps_c import generate_typesupport_fastrtps_c
+    from rosidl_typesupport_introspection_c import generate_c as generate_introspection
 
     shares = [SHARE / each for each in DEPENDENCIES]
     known = [f"{share.name}:{path}" for share in shares for path in share.glob("*/*.idl")]
@@ -97,49 +99,60 @@ def generate(name: str, tuples: list[str], out: Path, generated: Path) -> None:
         write("rosidl_generator_c", type_description_tuples=described, ros_interface_files=origins)
     )
     generate_typesupport_fastrtps_c(write(SUPPORT))
-    # With a single implementation the dispatch is static.
-    generate_dispatch(write("rosidl_typesupport_c"), [SUPPORT])
+    # Its files have the names of those of the first generator.
+    apart = generated / INTROSPECTION / name
+    generate_introspection(write(INTROSPECTION, output_dir=str(apart)))
+    generate_dispatch(write("rosidl_typesupport_c"), [SUPPORT, INTROSPECTION])
     generate_py(write("rosidl_generator_py"), ["rosidl_typesupport_c"])
-    for generator in ("rosidl_generator_c", SUPPORT):
+    for generator in ("rosidl_generator_c", SUPPORT, INTROSPECTION):
         header = f"{generator}__visibility_control.h"
         template = (SHARE / generator / "resource" / f"{header}.in").read_text()
         text = template.replace("@PROJECT_NAME_UPPER@", name.upper())
-        (out / "msg" / header).write_text(text.replace("@PROJECT_NAME@", name))
+        folder = apart if generator == INTROSPECTION else out
+        (folder / "msg").mkdir(parents=True, exist_ok=True)
+        (folder / "msg" / header).write_text(text.replace("@PROJECT_NAME@", name))
 
 
 def compile_package(name: str, generated: Path, package: Path) -> None:
     """Compile the generated sources to an extension module, beside the Python modules."""
     import numpy as np
 
-    sources = generated / name
+    sources, apart = generated / name, generated / INTROSPECTION
     suffix = sysconfig.get_config_var("EXT_SUFFIX")
     libraries = [
         f"-l{each}__{kind}"
         for each in DEPENDENCIES
-        for kind in ("rosidl_generator_c", "rosidl_typesupport_c", SUPPORT, "rosidl_generator_py")
+        for kind in (*("rosidl_generator_c", "rosidl_generator_py"), *SUPPORTS)
     ]
-    headers = [sysconfig.get_paths()["include"], np.get_include(), generated]
+    headers = [sysconfig.get_paths()["include"], np.get_include(), generated, apart]
     headers += [INCLUDE, *(each for each in INCLUDE.iterdir() if each.is_dir())]
     options = ["-fPIC", "-O0", "-w", *(f"-I{each}" for each in headers)]
     objects = []
     for language, compiler in (("*.c", ["gcc"]), ("*.cpp", ["g++", "-std=c++17"])):
-        for index, each in enumerate(sorted(sources.rglob(language))):
+        found = [*sorted(sources.rglob(language)), *sorted(apart.rglob(language))]
+        for index, each in enumerate(found):
             objects.append(generated / f"{language[2:]}{index}.o")
             run([*compiler, *options, "-c", str(each), "-o", str(objects[-1])])
     shutil.copytree(sources, package, ignore=shutil.ignore_patterns("*.c", "*.cpp", "*.h"))
     for each in (package, *(path for path in package.iterdir() if path.is_dir())):
         (each / "__init__.py").touch()
+    module = package / f"{name}_s__rosidl_typesupport_c{suffix}"
     run(
         [
-            *("g++", "-shared", "-o", str(package / f"{name}_s__rosidl_typesupport_c{suffix}")),
+            *("g++", "-shared", "-o", str(module)),
             *map(str, objects),
             f"-L{LIBRARIES}",
             f"-Wl,-rpath,{LIBRARIES}",
             *libraries,
-            *("-lrosidl_runtime_c", "-lrosidl_typesupport_c", f"-l{SUPPORT}"),
+            *("-lrosidl_runtime_c", *(f"-l{each}" for each in SUPPORTS)),
             *("-lrosidl_typesupport_fastrtps_cpp", "-lfastcdr"),
         ]
     )
+    # The dispatch looks for libraries of these names.
+    links = package.parent / "lib"
+    links.mkdir(exist_ok=True)
+    for each in SUPPORTS:
+        (links / f"lib{name}__{each}.so").symlink_to(module)
 
 
 def run(command: list[str]) -> None:

@@ -1,6 +1,6 @@
 """Measure how a simulated robot is driven through `FollowPath`, as nav2 would.
 
-    PYTHONPATH=TYPES python tests/ros/path_tour.py FOLDER [SECONDS]
+    PYTHONPATH=TYPES LD_LIBRARY_PATH=TYPES/lib python tests/ros/path_tour.py FOLDER [SECONDS]
 
 with TYPES made by `interfaces.py`. Plans a path on the robot's own map to one place after the
 other, and once a second again, as nav2's behaviour tree does. Prints the figures of docs/robot.md.
@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -52,15 +53,19 @@ class Tour:
         far = centres[np.hypot(*(centres - self.client.odometry[-1][:2]).T) > 2.0]
         return far[self.random.integers(len(far))]
 
-    def drive(self) -> tuple[int, int, int]:
-        """Drive to a place; return how it ended, its code, and how often the path was renewed."""
+    def drive(self) -> tuple[int, int, int] | None:
+        """Drive to a place; return how it ended, its code, and how often the path was renewed.
+
+        None where no way there is known.
+        """
         client, place, yaw = self.client, self.choose(), self.random.uniform(-math.pi, math.pi)
         number, handle = 0, None
         while True:
             path = planned_path(*self.map, client.odometry[-1], place)
-            if path is None:
-                return 0, 0, 0
-            if handle is None or math.dist(client.odometry[-1][:2], place) > 0.5:
+            if path is None and handle is None:
+                return None
+            is_near = math.dist(client.odometry[-1][:2], place) <= 0.5
+            if path is not None and (handle is None or not is_near):
                 handle, number = client.send(client.goal(path, yaw)), number + 1
                 future = handle.get_result_async()
             ends = time.monotonic() + 1.0
@@ -85,9 +90,10 @@ def main(folder: Path, seconds: float) -> dict:
         client.transition(ACTIVATE)
         began, ends, renewed = time.monotonic(), [], 0
         while time.monotonic() - began < seconds:
-            status, code, number = tour.drive()
-            ends.append((status, code))
-            renewed += number
+            found = tour.drive()
+            if found is not None:
+                ends.append(found[:2])
+                renewed += found[2]
         client.wait("a state", lambda: client.states)
         state, gaps = client.states[-1], np.diff(tour.commands)
         driven = np.hypot(*np.diff(np.array([each[:2] for each in client.odometry]), axis=0).T)
@@ -99,7 +105,7 @@ def main(folder: Path, seconds: float) -> dict:
                 each.kill()
     return {
         "goals": len(ends),
-        "ends": {str(each): ends.count(each) for each in set(ends)},
+        "ends": Counter(map(str, ends)),
         "paths": renewed,
         "metres": float(driven.sum()),
         "seconds": time.monotonic() - began,

@@ -286,7 +286,7 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     },
     jx.mpcc: {
         *("robot", "path", "noise_std", "max_speed", "other", "corridor"),
-        *("disturbance", "risk"),
+        *("end_heading", "disturbance", "risk"),
     },
     jx.planning.avoidance_cost: set(),
     jx.race_track: set(),

@@ -250,8 +250,12 @@ def mpcc(
     _checks.scalar("max_longitudinal", max_longitudinal, at_least=0.0)
     if max_speed is not None:
         _checks.scalar("max_speed", max_speed, above=0.0)
-    if end_heading is not None and path.is_closed:
-        raise ValueError("end_heading is given for a closed path; accepted: None, it has no end")
+    if end_heading is not None:
+        _checks.scalar("end_heading", end_heading)
+        if path.is_closed:
+            raise ValueError(
+                f"end_heading is {end_heading!r} for a closed path; accepted: None, it has no end"
+            )
     contouring, lag = ContouringCost(path), LagCost(path)
     step = _checks.scalar("dt", dt, above=0.0)
     gain = _checks.scalar("progress_weight", progress_weight, at_least=0.0)
