@@ -51,7 +51,7 @@ SAME, SAME_YAW = 0.5, 0.1
 """Differences up to which two candidates are one [m, rad]."""
 ERROR, ALIKE = 0.05, 0.5
 """Standard deviation of the position of a wall, and the length along which it errs alike [m]."""
-FLOOR = (0.02, 0.02, 0.002)
+FLOOR = (0.03, 0.03, 0.003)
 """Least standard deviations: maps are bent [m, m, rad]."""
 LEAST_SCORE = 15.0
 """Length of walls that must agree, less what is contradicted [m]."""

@@ -37,5 +37,6 @@ class FleetSettings(Section):
     is_central: bool = setting(Radio, "is_central")
     exchange_rate: Rate = setting(Fleet, "exchange_rate")
     coordination: Literal["claims", "assignment", "none"] = setting(Fleet, "coordination")
+    is_start_known: bool = setting(Fleet, "is_start_known")
     claim_sharpness: Positive = setting(Radio, "claim_sharpness")
     claim_memory: Positive = setting(Radio, "claim_memory")

@@ -71,6 +71,9 @@ class TeamMetrics(PartMetrics):
         odometry_ates: the same error of its odometry alone (N,) [m].
         position_errors: root mean square over the steps of the distance of each robot from where it
             takes itself to be (N,) [m]. The frame is that of all robots: nothing is aligned.
+        frames_found_at: times at which pairs of robots found how their frames lie to each other
+            [s], the earliest first; None if they knew it from the start, as below.
+        frame_errors: by how much each of them was off in the middle of a map [m].
     """
 
     num_robots: int
@@ -83,6 +86,8 @@ class TeamMetrics(PartMetrics):
     ates: tuple[float | None, ...] = ()
     odometry_ates: tuple[float | None, ...] = ()
     position_errors: tuple[float, ...] = ()
+    frames_found_at: tuple[float, ...] | None = None
+    frame_errors: tuple[float, ...] | None = None
 
     columns = (
         Column.total("contacts", "contacts"),
@@ -116,19 +121,35 @@ class TeamMetrics(PartMetrics):
         for name, (values, digits) in errors.items():
             if values:
                 rows.append((name, f"{', '.join(text(value, digits) for value in values)} m"))
+        if self.frames_found_at is not None and self.frame_errors is not None:
+            number = self.num_robots * (self.num_robots - 1) // 2
+            found = f"{len(self.frames_found_at)} of {number} pairs"
+            if self.frames_found_at:
+                found += (
+                    f", the last at {max(self.frames_found_at):.0f} s, off by at most "
+                    f"{max(self.frame_errors):.3f} m"
+                )
+            rows.append(("frames found", found))
         return rows
 
 
 @dataclasses.dataclass(frozen=True)
 class TeamReport(PartReport):
-    """What a run shows of several robots together: how they divided the places among themselves,
-    and the map (N, H, W) of each at the end, in 256 levels."""
+    """What a run shows of several robots together.
+
+    Args:
+        coordination: how the robots divided the places among themselves.
+        beliefs: (N, H, W) map of each robot at the end, in 256 levels.
+        merges: time [s] and error [m] of each pair of robots that has found how its frames lie;
+            None if all knew it from the start.
+    """
 
     name: ClassVar[str] = TEAM
     record_type: ClassVar[type | None] = TeamRecord
 
     coordination: str
     beliefs: np.ndarray
+    merges: tuple[tuple[float, float], ...] | None = None
 
     def metrics(self, run: ExplorationData) -> TeamMetrics:
         """Compute the metrics."""
@@ -141,6 +162,7 @@ class TeamReport(PartReport):
             last = at_instants(record.coverages, np.full(len(robots), run.initial_coverage))[-1]
             least = float(last.min())
         shifts = [each.pose_error for each in robots if each.pose_error is not None]
+        merges = None if self.merges is None else sorted(self.merges)
         return TeamMetrics(
             num_robots=len(robots),
             coordination=self.coordination,
@@ -156,6 +178,8 @@ class TeamReport(PartReport):
                 for each in shifts
                 if len(each)
             ),
+            frames_found_at=None if merges is None else tuple(at for at, _ in merges),
+            frame_errors=None if merges is None else tuple(error for _, error in merges),
         )
 
     def series(self, run: ExplorationData) -> dict[str, np.ndarray]:

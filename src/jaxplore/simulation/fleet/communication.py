@@ -20,6 +20,7 @@ from jaxplore.simulation.exploration.moving_discs import MovingDiscs
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.fleet.contact import predict_positions
+from jaxplore.simulation.fleet.frames import Frames
 from jaxplore.simulation.fleet.parts import gather_parts
 from jaxplore.simulation.fleet.radio import Exchanged, Heard, Radio, exchange
 from jaxplore.simulation.fleet.rows import others
@@ -49,7 +50,8 @@ class Talk(NamedTuple):
     (N,) is the number of each robot, by which the others are ordered. `radii` (N,) are those of the
     circles that hold the robots [m]. `steps_per_exchange` control periods are between two exchanges
     of maps. Robots tell `plan_length` planned controls, `plan_step` apart [s]. `coordination` is
-    how they divide the places among themselves.
+    how they divide the places among themselves. Unless
+    `is_start_known`, robots understand each other only when they have found each other's frames.
     """
 
     robot: Formation
@@ -62,6 +64,7 @@ class Talk(NamedTuple):
     plan_step: Scalar
     plan_length: int
     coordination: str
+    is_start_known: bool
 
     @property
     def members(self) -> tuple[ExplorationScenario, ...]:
@@ -99,6 +102,7 @@ class Talk(NamedTuple):
             jnp.zeros(()),
             jnp.zeros((), jnp.int32),
             self.count_known(members).coverages,
+            None if self.is_start_known else Frames.nothing(number),
         )
 
     def count_known(self, members: Sequence[ExplorationState], time: Scalar | None = None) -> Known:
@@ -142,7 +146,7 @@ class Talk(NamedTuple):
         return MovingDiscs(positions, state.team.velocities, self.radii)
 
     def links(self, state: FleetState, moment: Moment) -> Bool[Array, "N N"]:
-        """Return which robots hear each other."""
+        """Return which robots hear and understand each other."""
         positions = self.robot.positions(state.robot)
 
         def find_seen(one: ExplorationScenario, robot: StateVector) -> Bool[Array, " N"]:
@@ -154,7 +158,10 @@ class Talk(NamedTuple):
             return jnp.stack(views).any(axis=0)
 
         sees = self.explorations.each(find_seen, self.robot.split_state(state.robot))
-        return self.radio.links(positions, jnp.stack(sees))
+        links = self.radio.links(positions, jnp.stack(sees))
+        frames = None if state.team is None else state.team.frames
+        # What is told in a frame that the other one does not know says nothing to it.
+        return links if frames is None else links & frames.known
 
     def exchange_when_due(self, state: FleetState, moment: Moment) -> FleetState:
         """Let the robots exchange and merge their maps, if it is time for it."""

@@ -95,7 +95,16 @@ def make_fleet_recording(
     known = gather_parts(one, rows)
     places = [each.localisation for each in after.members]
     found = tuple(each for each in places if each is not None)
-    team = TeamReport(coordination, np.round(255.0 * np.stack(maps)).astype(np.uint8))
+    frames = None if after.team is None else after.team.frames
+    merges: tuple[tuple[float, float], ...] = ()
+    if frames is not None:
+        pairs = np.argwhere(np.triu(np.asarray(frames.known), 1))
+        merges = tuple(
+            (float(frames.found_at[one, other]), float(frames.errors[one, other]))
+            for one, other in pairs
+        )
+    beliefs = np.round(255.0 * np.stack(maps)).astype(np.uint8)
+    team = TeamReport(coordination, beliefs, None if frames is None else merges)
     return make_recording(
         *(one, run, before.members[0].progress._replace(coverage=before.coverage)),
         after.members[0],

@@ -39,6 +39,7 @@ from jaxplore.simulation.fleet.communication import Talk, known_states
 from jaxplore.simulation.fleet.contact import find_room, stop_touching
 from jaxplore.simulation.fleet.disturbances import FleetDisturbances
 from jaxplore.simulation.fleet.driver import FleetDriver
+from jaxplore.simulation.fleet.frames import SEARCH_PERIOD, find_frames
 from jaxplore.simulation.fleet.radio import Radio
 from jaxplore.simulation.fleet.recording import fleet_frame, make_fleet_recording
 from jaxplore.simulation.fleet.records import stack_records
@@ -67,6 +68,10 @@ class Fleet(Scenario):
       cells to itself and to those that it has heard by the shortest sum of paths. With `none`, the
       robots only share maps. All rest on what was heard by radio; with `is_central` in the radio
       everybody hears everybody.
+    - **Frames.** Without `is_start_known` no robot knows where the others have begun. Robots within
+      the radio range match their maps every 5 s (`jaxplore.localisation.match_maps`). Once it is
+      certain how these lie, the robots understand what they tell each other, and those that they
+      already understood do as well.
 
     The exploration is finished when the share of the reachable cells that some robot knows to be
     free is the target coverage, and given up as that of one robot is. With targets it is finished
@@ -93,6 +98,7 @@ class Fleet(Scenario):
         coordination: `claims`, `assignment` or `none`; static.
         plan_step: time between the planned controls of the robots' controllers [s].
         plan_length: number of planned controls that robots tell; static.
+        is_start_known: whether robots know from the start where the others have begun; static.
 
     Raises:
         ValueError: a part of another class, explorations that a fleet does not support, robots in
@@ -115,6 +121,7 @@ class Fleet(Scenario):
     plan_step: Scalar
     plan_length: int = eqx.field(static=True)
     coordination: str = eqx.field(static=True)
+    is_start_known: bool = eqx.field(static=True)
 
     @_kinds.check_arguments
     def __init__(
@@ -127,6 +134,7 @@ class Fleet(Scenario):
         coordination: str = "claims",
         plan_step: ArrayLike = 0.05,
         plan_length: int = 40,
+        is_start_known: bool = True,
     ) -> None:
         members = check_members(robots, starts)
         self.explorations = Alike(members).map(ExplorationScenario.with_target_coverage)
@@ -159,6 +167,7 @@ class Fleet(Scenario):
         self.share = Share.whole(self.num_robots)
         self.plan_step = _checks.scalar("plan_step", plan_step, above=0.0)
         self.plan_length = _checks.positive_int("plan_length", plan_length)
+        self.is_start_known = _kinds.flag("is_start_known", is_start_known)
 
     def __repr__(self) -> str:
         return describe_fields(self, "members", "coordination", "period")
@@ -195,6 +204,8 @@ class Fleet(Scenario):
                 raise ValueError(
                     f"{name} of the robots is given; accepted in several processes: none"
                 )
+        if not self.is_start_known:
+            raise ValueError("is_start_known is False; accepted in several processes: True")
         return with_field(self, "share", share)
 
     @property
@@ -224,25 +235,30 @@ class Fleet(Scenario):
 
     @property
     def steps_per_revision(self) -> int | None:
-        """Control periods between two assignments or searches for loops; None without any."""
+        """Control periods between two assignments or searches; None without any."""
         every = [each for each in self._revisions if each is not None]
         return math.gcd(*every) if every else None
 
     @property
     def _revisions(self) -> tuple[int | None, ...]:
-        """Control periods between two assignments, and of each robot between two searches for
-        loops."""
+        """Control periods between two assignments, two searches for frames, and of each robot
+        between two searches for loops."""
         has_clusters = self.coordination == "assignment" and self.num_robots > 1
         assignments = int(self.steps_per_exchange) if has_clusters else None
-        return (assignments, *(each.steps_per_revision for each in self.members))
+        searches = None
+        if not self.is_start_known and self.num_robots > 1:
+            searches = round(SEARCH_PERIOD / float(self.control_period))
+        return (assignments, searches, *(each.steps_per_revision for each in self.members))
 
     def update_on_host(self, state: LoopState) -> LoopState:
         """Return the state after work on the host: maps moved where a robot has closed a loop, and
-        clusters of frontier cells assigned anew."""
-        step, (assignments, *closings) = int(state.step), self._revisions
+        clusters of frontier cells assigned anew, and frames of other robots found."""
+        step, (assignments, searches, *closings) = int(state.step), self._revisions
         for index, every in enumerate(closings):
             if every is not None and step % every == 0:
                 state = close_loops(self.members, self.robot, self.identity, state, index)
+        if searches is not None and step % searches == 0:
+            state = state._replace(task=self._with_frames(state.task, step))
         if assignments is None or step % assignments:
             return state
         task: FleetState = state.task
@@ -251,6 +267,24 @@ class Fleet(Scenario):
             self.share.select(self.members), task.members, self.share.mine, task.team.heard
         )
         return state._replace(task=task._replace(members=members))
+
+    def _with_frames(self, task: FleetState, step: int) -> FleetState:
+        """Return the state after the robots that hear each other have matched their maps."""
+        team = task.team
+        assert team is not None
+        assert team.frames is not None
+        if np.asarray(team.frames.known).all():
+            return task
+        positions = self.robot.positions(task.robot)
+        links = self.radio.links(positions, jnp.zeros((self.num_robots,) * 2, bool))
+        frames = find_frames(
+            team.frames,
+            [each.belief.grid for each in task.members],
+            np.asarray(links),
+            np.asarray(self.identity),
+            step * float(self.control_period),
+        )
+        return task._replace(team=team._replace(frames=frames))
 
     def measure_state(self, state: FleetState) -> StateVector:
         """Return the states (nx,) that the robots take to be their own; see `Localisation`."""
@@ -558,6 +592,7 @@ class Fleet(Scenario):
             self.plan_step,
             self.plan_length,
             self.coordination,
+            self.is_start_known,
         )
 
     def _belief(self, state: FleetState) -> FleetBelief:

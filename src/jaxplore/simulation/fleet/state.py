@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from jaxplore._types import Count, Scalar, StateVector
 from jaxplore.belief.gain import Gain
 from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.fleet.frames import Frames
 from jaxplore.simulation.fleet.radio import Heard
 
 
@@ -18,7 +19,7 @@ class Team(NamedTuple):
     [m], `velocities` (N, 2) those during the last step [m/s]. `sent` is the size of the messages of
     the present step [bytes], `links` the number of pairs of robots that heard each other last.
     `coverages` (N,) are the shares of the reachable cells that each knew to be free at the last
-    scan.
+    scan. `frames` says which robots know each other's frames; None if all do from the start.
     """
 
     heard: Heard
@@ -28,6 +29,7 @@ class Team(NamedTuple):
     sent: Scalar
     links: Count
     coverages: Float[Array, " N"]
+    frames: Frames | None = None
 
 
 class FleetState(NamedTuple):
