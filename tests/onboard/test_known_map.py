@@ -14,6 +14,7 @@ from jaxplore.onboard.pilot import Pilot
 from jaxplore.parts import KeepOut
 from jaxplore.simulation import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.tasks.exploration.pilot import build_pilot, make_node_settings
 
 pytestmark = pytest.mark.long
 
@@ -89,3 +90,22 @@ def test_the_way_back_leads_to_where_it_found_itself(driven, drive_until) -> Non
     commands, states = drive_until(lambda: pilot.finished, pilot, robot, 30.0, moved(ELSEWHERE))
     assert commands[-1].reason == "told to return; the robot is back at its start"
     assert np.hypot(*(states[-1, :2] - [1.0, 1.0])) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        (
+            {"node": {"pose": "internal"}, "localisation": {"method": "particles"}},
+            "localisation.method is 'particles'.*'matching', for the robot makes its own map",
+        ),
+        (
+            {"node": {"pose": "internal", "map": "x.yaml"}, "localisation": {"method": "matching"}},
+            "localisation.method is 'matching'.*'particles', for the robot knows its map",
+        ),
+        ({"node": {"map": "no/such.yaml"}}, "no/such.yaml is not there or not a file"),
+    ],
+)
+def test_settings_that_do_not_go_together_are_refused(entries, said) -> None:
+    with pytest.raises(ValueError, match=said):
+        build_pilot(*make_node_settings(entries))
