@@ -84,7 +84,7 @@ def test_ctrl_c_stops_the_robot_and_keeps_the_drive(field) -> None:
     assert seen["last_command"] == [0.0, 0.0, 0.0]
     assert "stopped" in text
     # The order that no node knows gave a warning.
-    assert "command is 'dance'; accepted: start, pause, return, stop" in text
+    assert "command is 'dance'; accepted: start, explore, pause, return, save, stop" in text
     run = Run.load(folder / "drive")
     assert run.metrics.path_length > 0.2
     assert (folder / "drive" / "map.png").exists()
