@@ -119,8 +119,28 @@ def transforms(index: int) -> Any:
     return TYPES["tf2_msgs/msg/TFMessage"](transforms=[stamped] * index)
 
 
+def cloud(index: int) -> Any:
+    fields = [
+        TYPES["sensor_msgs/msg/PointField"](name=name, offset=4 * i, datatype=7, count=1)
+        for i, name in enumerate("xyz")
+    ]
+    points = np.linspace(-2.0, 2.0, 3 * index, dtype=np.float32)
+    return TYPES["sensor_msgs/msg/PointCloud2"](
+        header=header(index, "lidar"),
+        height=1,
+        width=index,
+        fields=fields,
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * index,
+        data=points.view(np.uint8),
+        is_dense=True,
+    )
+
+
 MAKERS = {
     "/scan": ("LaserScan", scan),
+    "/points": ("PointCloud2", cloud),
     "/odom": ("Odometry", odometry),
     "/amcl_pose": ("PoseWithCovarianceStamped", located),
     "/map": ("OccupancyGrid", grid),

@@ -10,16 +10,17 @@ from jaxplore.ros.inputs import CHAIN_SECONDS, subscribe_pose, subscribe_scan
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.sensing.no_echo import NoEcho
-from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.node import CloudSettings, NodeSettings
 
 
 class FakeLink:
     """A connection that keeps what was subscribed to; its clock is that of the stamps."""
 
     def __init__(self, **kinds) -> None:
-        names = ("Odometry", "PoseWithCovarianceStamped", "LaserScan", "TFMessage")
-        self.ros = SimpleNamespace(**dict.fromkeys(names, "a class"), **kinds)
+        names = ("Odometry", "PoseWithCovarianceStamped", "LaserScan", "TFMessage", "PointCloud2")
+        self.ros = SimpleNamespace(**{name: name for name in names}, **kinds)
         self.handles, self.infos, self.warnings = {}, [], []
+        self.kinds: dict[str, tuple[str, int | None]] = {}
 
     def info(self, message) -> None:
         self.infos.append(message)
@@ -27,8 +28,8 @@ class FakeLink:
     def warn(self, kind, message) -> None:
         self.warnings.append(message)
 
-    def subscribe(self, kind, topic, handle, **_) -> None:
-        self.handles[topic] = handle
+    def subscribe(self, kind, topic, handle, *, depth=None, **_) -> None:
+        self.handles[topic], self.kinds[topic] = handle, (kind, depth)
 
     def topic(self, name) -> str:
         return f"/{name}"
@@ -105,6 +106,33 @@ def test_what_the_lidar_reports_for_open_space_is_said_once() -> None:
     assert "reports its greatest range" in said
     # Others than the four walls are no points.
     assert [len(each.points) for each in taken] == [4, 4, 4]
+
+
+def cloud(frame, point):
+    names = enumerate("xyz")
+    fields = [SimpleNamespace(name=n, offset=4 * i, datatype=7, count=1) for i, n in names]
+    data = np.array(point, np.float32).tobytes()
+    sizes = {"width": 1, "height": 1, "point_step": 12, "row_step": 12}
+    return SimpleNamespace(
+        header=header(frame), fields=fields, is_bigendian=False, data=data, **sizes
+    )
+
+
+def test_clouds_are_scans_where_the_settings_say_so() -> None:
+    link, taken = FakeLink(), []
+    lidar = Lidar(num_beams=8, max_range=5.0)
+    settings = NodeSettings(scan_topic="points", cloud=CloudSettings(height=0.4))
+    subscribe_scan(link, settings, lidar, Mount(x=0.3), NoEcho(), taken.append)
+    # Of clouds none waits behind another.
+    assert link.kinds == {"/points": ("PointCloud2", 1)}
+    take = link.handles["/points"]
+    take(cloud("camera", (2.0, 0.0, 0.1)))
+    with pytest.raises(ValueError, match="of /points is 'rear'; accepted: 'camera', that of the f"):
+        take(cloud("rear", (2.0, 0.0, 0.1)))
+    (scan,) = taken
+    assert (scan.time, scan.received, scan.frame) == (3.0, Instant(3.0, 7.0), "camera")
+    np.testing.assert_allclose(scan.points, [[2.3, 0.0]])
+    np.testing.assert_allclose(np.asarray(scan.scan.ranges), [0, 0, 0, 0, 2, 0, 0, 0])
 
 
 def test_transforms_need_their_package() -> None:

@@ -33,7 +33,7 @@ from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.code_names import check_trusted
-from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.node import NodeSettings, cloud_view
 from jaxplore.settings.readers import read_values
 from jaxplore.settings.ros_names import check_namespace
 from jaxplore.settings.sections import read_settings
@@ -130,7 +130,9 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
             f"setting node.session is {short_repr(node.session)} in a replay; accepted: none, for "
             "nothing is driven"
         )
-    scan, pose = replay_topics(bag, options["scan_topic"], options["pose_topic"])
+    view = cloud_view(node)
+    topics = options["scan_topic"], options["pose_topic"]
+    scan, pose = replay_topics(bag, *topics, is_cloud=view is not None)
     pilot = build_pilot(settings, node, is_obeyed=False)
     say("Compiling, a few seconds ...", err=True)
     pilot.prepare()
@@ -142,6 +144,7 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
             pose,
             mount=control.lidar_mount(node),
             no_echo=NoEcho(node.no_echo, pilot.task.perception.resolution),
+            view=view,
             on_progress=lambda seconds: advance(0.0, f"{seconds:.0f} s of {scan} and {pose}"),
         )
     if not pilot.log.num_steps:

@@ -138,7 +138,8 @@ def replay(bag: Path, **options: Any) -> None:
     """Feed a recorded drive to mapping and controller: what would it have commanded?
 
     The bag is a rosbag2 folder, or its .db3 or .mcap file, with a LaserScan and an Odometry (or a
-    PoseWithCovarianceStamped). ROS is not needed. Writes a run folder with the map, the commands
+    PoseWithCovarianceStamped). With node.cloud the scans are those of a PointCloud2. ROS is not
+    needed. Writes a run folder with the map, the commands
     and an animation:
 
     \b

@@ -29,6 +29,7 @@ KINDS = {
     "Twist": "geometry_msgs/msg/Twist",
     "TwistStamped": "geometry_msgs/msg/TwistStamped",
     "BatteryState": "sensor_msgs/msg/BatteryState",
+    "PointCloud2": "sensor_msgs/msg/PointCloud2",
     "TFMessage": "tf2_msgs/msg/TFMessage",
 }
 """Kinds of messages that are read and written, and their names in ROS."""

@@ -8,12 +8,13 @@ from typing import Any
 
 from jaxplore.onboard.drive_clock import Instant
 from jaxplore.ros import messages
+from jaxplore.ros.clouds import scan_of_cloud
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
 from jaxplore.ros.transforms import Transforms
 from jaxplore.sensing.beams import Beams
 from jaxplore.sensing.no_echo import NoEcho
-from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.node import NodeSettings, cloud_view
 
 GONE_SECONDS = 10.0
 """Silence after which a robot is gone [s]."""
@@ -201,14 +202,18 @@ def subscribe_scan(
     """Subscribe to the lidar; `take` gets each scan with its arrival.
 
     Messages that are malformed, or of another lidar, give a warning. What `no_echo` finds is
-    logged.
+    logged. With `node.cloud` the messages are clouds.
     """
+    view = cloud_view(settings)
     topic = link.topic(settings.scan_topic)
     check = _FrameCheck(topic)
 
     def take_scan(message: Any) -> None:
         received = link.instant()
-        scan = messages.laser_scan_of(message, sensor, mount, no_echo)
+        if view is None:
+            scan = messages.laser_scan_of(message, sensor, mount, no_echo)
+        else:
+            scan = scan_of_cloud(message, sensor, mount, view)
         if no_echo.news:
             link.info(no_echo.news)
             no_echo.news = ""
@@ -216,4 +221,8 @@ def subscribe_scan(
         link.warn_of_clock(topic, scan.time, received)
         take(scan._replace(received=received))
 
-    link.subscribe(link.ros.LaserScan, topic, take_scan)
+    if view is None:
+        link.subscribe(link.ros.LaserScan, topic, take_scan)
+    else:
+        # A cloud that waits is old before it is read.
+        link.subscribe(link.ros.PointCloud2, topic, take_scan, depth=1)

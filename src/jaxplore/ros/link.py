@@ -25,7 +25,7 @@ MESSAGES = {
     ),
     "nav_msgs": ("OccupancyGrid", "Odometry", "Path"),
     "rcl_interfaces": ("SetParametersResult",),
-    "sensor_msgs": ("BatteryState", "LaserScan"),
+    "sensor_msgs": ("BatteryState", "LaserScan", "PointCloud2"),
     "std_msgs": ("String",),
 }
 """Packages of messages that every mode needs, and their messages."""

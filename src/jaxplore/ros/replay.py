@@ -12,8 +12,10 @@ from jaxplore.onboard.pilot import Pilot
 from jaxplore.parts.battery.robot import Battery
 from jaxplore.ros import messages
 from jaxplore.ros.bag import BagMessage, bag_topics, choose_topic, read_bag
+from jaxplore.ros.clouds import scan_of_cloud
 from jaxplore.ros.messages import Mount
 from jaxplore.ros.transforms import Transforms
+from jaxplore.sensing.cloud_view import CloudView
 from jaxplore.sensing.no_echo import NoEcho
 
 POSES = ("Odometry", "PoseWithCovarianceStamped", "TFMessage")
@@ -50,15 +52,15 @@ class Replayed(NamedTuple):
 
 
 def replay_topics(
-    path: str | os.PathLike[str], scan: str | None, pose: str | None
+    path: str | os.PathLike[str], scan: str | None, pose: str | None, *, is_cloud: bool = False
 ) -> tuple[str, str]:
-    """Return the topics of the scan and of the pose in a bag.
+    """Return the topics of the scan, or of the cloud, and of the pose in a bag.
 
     Without a name the scan is the only topic of its kind, and the pose is the only odometry, or
     else the only pose, or else the transforms.
     """
     topics = bag_topics(path)
-    scan_topic = choose_topic(topics, "LaserScan", scan)
+    scan_topic = choose_topic(topics, "PointCloud2" if is_cloud else "LaserScan", scan)
     if pose is not None:
         found = topics.get(pose)
         kind = POSES[0] if found is None or found.kind not in POSES else str(found.kind)
@@ -87,6 +89,7 @@ def replay(
     *,
     mount: Mount | None = None,
     no_echo: NoEcho | None = None,
+    view: CloudView | None = None,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Replayed:
     """Feed a bag to a pilot, in the order and at the times of its messages.
@@ -97,13 +100,21 @@ def replay(
 
     Where the topic of the pose has transforms, the pose follows from a chain of those of all
     topics, such as `map -> odom -> base_link`. `no_echo` says which readings met nothing; when
-    absent, the rule `auto` does. `on_progress` gets the recorded time since the first message [s].
+    absent, the rule `auto` does. With a `view` the scans are made of clouds, which that topic has.
+    `on_progress` gets the recorded time since the first message [s].
 
     Raises:
         ValueError: a bag that cannot be read; transforms without a frame of a robot; a robot with a
             battery, and no single topic of its charge.
     """
     no_echo = NoEcho() if no_echo is None else no_echo
+    mount = Mount() if mount is None else mount
+
+    def read_scan(message: Any) -> messages.LaserScan:
+        if view is not None:
+            return scan_of_cloud(message, pilot.sensor, mount, view)
+        return messages.laser_scan_of(message, pilot.sensor, mount, no_echo)
+
     chain = _Chain.of(path) if bag_topics(path)[pose].kind == "TFMessage" else None
     topics = [scan, pose] if chain is None else [scan, *chain.topics]
     # The charge decides when the robot returns, so the drive of one with a battery tells it.
@@ -136,7 +147,7 @@ def replay(
             elif chain is not None and each.topic != scan:
                 chain.feed(pilot, each, skipped)
             else:
-                _feed(pilot, each.topic == scan, each, skipped, mount, no_echo)
+                _feed(pilot, each, skipped, read_scan if each.topic == scan else None)
         except (ValueError, TypeError, OverflowError, AttributeError) as error:
             malformed += 1
             reason = reason or " ".join(str(error).split())
@@ -206,16 +217,17 @@ class _Chain:
 
 def _feed(
     pilot: Pilot,
-    is_scan: bool,
     given: BagMessage,
     skipped: float,
-    mount: Mount | None,
-    no_echo: NoEcho,
+    read_scan: Callable[[Any], messages.LaserScan] | None,
 ) -> None:
-    """Give a message to the pilot, with its stamp and the time at which it was recorded."""
+    """Give a message to the pilot, with its stamp and the time at which it was recorded.
+
+    It is a scan if there is a function that reads it, and a pose otherwise.
+    """
     received = Instant(given.time - skipped)
-    if is_scan:
-        scan = messages.laser_scan_of(given.message, pilot.sensor, mount, no_echo)
+    if read_scan is not None:
+        scan = read_scan(given.message)
         pilot.add_scan(scan.time - skipped, scan.scan, scan.points, received, scan.sweep)
     else:
         place = messages.odometry_of(given.message)

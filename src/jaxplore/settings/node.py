@@ -1,16 +1,20 @@
 """Settings of the node that drives a robot, beside those of a run."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from jaxplore.onboard.motors import Motors
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.path_server import ServerOptions
 from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.report.drawing.rollout_costs import WEIGHT
+from jaxplore.sensing.cloud_view import CloudAxes, CloudView
 from jaxplore.sensing.no_echo import NoEchoRule
 from jaxplore.settings.controllers import ContouringNumbers
-from jaxplore.settings.defaults import setting
+from jaxplore.settings.defaults import in_degrees, setting
 from jaxplore.settings.readers import EVERY, Readers
 from jaxplore.settings.ros_names import Namespace, NodeName, Topic
 from jaxplore.settings.sections import (
@@ -74,6 +78,9 @@ Axes = NonNegative | tuple[NonNegative, NonNegative, NonNegative]
 Bounds = Positive | tuple[Positive | None, Positive | None, Positive | None] | None
 
 
+SensorTilt = Annotated[float, Field(ge=-180, le=180)]
+
+
 class MotorSettings(Section):
     """Motors of a base, as `jaxplore identify` finds them; see `jaxplore.onboard.Motors`."""
 
@@ -83,6 +90,26 @@ class MotorSettings(Section):
     lag: Axes = setting(Motors, "lag")
     dead_zone: Axes = setting(Motors, "dead_zone")
     max_speed: Bounds = setting(Motors, "max_speed")
+
+
+class CloudSettings(Section):
+    """A 3-D lidar or a depth camera in place of the lidar; see
+    `jaxplore.sensing.cloud_view.CloudView`.
+
+    Args:
+        height: height of the sensor above the floor [m], between `least_height` and
+            `greatest_height`.
+    """
+
+    readers = DRIVING
+
+    height: Positive
+    least_height: Real = setting(CloudView, "least_height")
+    greatest_height: Real = setting(CloudView, "greatest_height")
+    pitch_degrees: SensorTilt = setting(CloudView, "pitch", in_degrees)
+    roll_degrees: SensorTilt = setting(CloudView, "roll", in_degrees)
+    least_range: NonNegative = setting(CloudView, "least_range")
+    axes: CloudAxes = setting(CloudView, "axes")
 
 
 class NodeServer(Section):
@@ -146,7 +173,9 @@ class NodeSettings(Section):
             results decide as well.
         goal_action: name of that action.
         path_topic: topic of the paths to follow, `nav_msgs/Path`.
-        scan_topic: topic of the lidar, `sensor_msgs/LaserScan`.
+        scan_topic: topic of the lidar, `sensor_msgs/LaserScan`, or `sensor_msgs/PointCloud2` with a
+            section `node.cloud`.
+        cloud: a 3-D lidar or a depth camera in place of the lidar; none when absent.
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
         pose_type: type of the pose's messages; `tf` follows the transforms from `world_frame` to
             `robot_frame`.
@@ -163,7 +192,7 @@ class NodeSettings(Section):
         is_lidar_inverted: whether the lidar hangs upside down.
         no_echo: what the lidar's driver reports where a beam meets nothing: `inf`; `max`, also
             the greatest range; `zero`, also 0 and NaN; `auto` finds it from the readings, and
-            says so.
+            says so. Of clouds only `zero` is read: beams met nothing that no point tells of.
         deadline: share of the control period after which the last plan's next command is sent.
         rollout_colour: what colours the published rollouts: `weight`, `total cost`, or the name of
             a term of the controller's cost.
@@ -189,6 +218,7 @@ class NodeSettings(Section):
     goal_action: Annotated[Topic, CHOOSING] = "navigate_to_pose"
     path_topic: Annotated[Topic, FOLLOWING] = "plan"
     scan_topic: Topic = "scan"
+    cloud: CloudSettings | None = None
     pose_topic: Annotated[Topic, EVERY] = "odom"
     pose_type: Annotated[Literal["odometry", "pose", "tf"], EVERY] = "odometry"
     battery_topic: Topic = "battery_state"
@@ -239,3 +269,23 @@ def part_node(entries: Mapping[str, Any]) -> tuple[dict[str, Any], NodeSettings]
     run = dict(entries)
     node = {"node": run.pop("node")} if "node" in run else {}
     return run, check_section(DriveSettings, node).node
+
+
+def cloud_view(settings: NodeSettings) -> CloudView | None:
+    """Return how clouds become scans; None where a lidar of the plane measures.
+
+    A sensor outside of the band of heights is a `ValueError`.
+    """
+    cloud = settings.cloud
+    if cloud is None:
+        return None
+    return CloudView(
+        cloud.height,
+        cloud.least_height,
+        cloud.greatest_height,
+        math.radians(cloud.pitch_degrees),
+        math.radians(cloud.roll_degrees),
+        cloud.least_range,
+        cloud.axes,
+        is_rest_free=settings.no_echo == "zero",
+    )
