@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from jaxplore import Lidar
 from jaxplore.ros.bag_writer import BagWriter
 from jaxplore.ros.clouds import MOST_CLOUD_POINTS, cloud_points, scan_of_cloud
+from jaxplore.ros.further_lidars import FurtherLidars
 from jaxplore.ros.messages import Mount
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.beam_ends import scan_of_ends
@@ -366,3 +367,50 @@ def test_a_replay_reads_clouds_and_leaves_out_malformed_ones(tmp_path) -> None:
         assert sweep is None
     with pytest.raises(ValueError, match="bag has no topic of kind LaserScan"):
         replay_topics(folder, None, None)
+
+
+def laser_message(seconds, ranges):
+    stamp = SimpleNamespace(sec=seconds, nanosec=0)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=stamp, frame_id="laser"),
+        angle_min=0.0,
+        angle_max=0.0,
+        angle_increment=math.radians(10.0),
+        time_increment=0.0,
+        scan_time=0.1,
+        range_min=0.0,
+        range_max=10.0,
+        ranges=ranges,
+        intensities=[],
+    )
+
+
+def test_a_replay_completes_scans_by_a_further_lidar(tmp_path) -> None:
+    """The rear lidar, of 5 s and of 7 s, is missing at first, and too old at 6.5 s."""
+    with BagWriter(tmp_path / "drive") as writer:
+        for time, topic, seconds, ranges in (
+            (5.1, "/scan", 5, [2.0]),
+            (5.2, "/rear", 5, [1.5]),
+            (5.3, "/scan", 5, [2.5]),
+            (6.5, "/scan", 6, [2.5]),
+            (7.1, "/rear", 7, [1.0]),
+            (7.2, "/scan", 7, [3.0]),
+        ):
+            writer.write("/odom", "Odometry", pose_message(seconds), time - 0.01)
+            writer.write(topic, "LaserScan", laser_message(seconds, ranges), time)
+    pilot, rear = ListeningPilot(), Mount(-0.5, 0.0, math.pi)
+    further = FurtherLidars(SENSOR, Mount(), {"/rear": rear}, max_age=0.5)
+    found = replay(tmp_path / "drive", pilot, "/scan", "/odom", further=further)
+    assert (found.num_malformed, len(pilot.scans)) == (2, 2)
+    assert found.reason.startswith("the scan of /rear is missing")
+    for (time, scan, points, _), (seconds, ahead, behind) in zip(
+        pilot.scans, ((5.0, 2.5, 2.0), (7.0, 3.0, 1.5)), strict=True
+    ):
+        assert time == seconds
+        np.testing.assert_allclose(points, [[ahead, 0.0], [-behind, 0.0]], atol=1e-9)
+        expected = np.zeros(36)
+        expected[[0, 18]] = behind, ahead
+        np.testing.assert_allclose(scan.ranges, expected, atol=1e-6)
+    wrong = FurtherLidars(SENSOR, Mount(), {"/left": rear}, max_age=0.5)
+    with pytest.raises(ValueError, match="topic is '/left', not of a LaserScan"):
+        replay(tmp_path / "drive", pilot, "/scan", "/odom", further=wrong)

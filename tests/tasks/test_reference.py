@@ -73,7 +73,7 @@ def test_a_row_says_what_is_known() -> None:
 
 def test_a_setting_in_degrees_says_that_its_owner_takes_radians() -> None:
     in_degrees = [row for row in rows() if row.name.endswith("_degrees")]
-    assert len(in_degrees) == 17
+    assert len(in_degrees) == 19
     for row in in_degrees:
         assert row.unit == "degrees"
         if row.owner is None:

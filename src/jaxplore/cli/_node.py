@@ -4,6 +4,7 @@ import math
 import sys
 import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,13 @@ from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.folder import lock_folder, write_whole
 from jaxplore.report.table import print_table
 from jaxplore.ros import control, goal, path_action, robot
+from jaxplore.ros.further_lidars import further_lidars
 from jaxplore.ros.link import connect, import_ros
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.sensing.mount import MOST_MOUNT
 from jaxplore.sensing.no_echo import NoEcho
 from jaxplore.settings.code_names import check_trusted
-from jaxplore.settings.node import NodeSettings, cloud_view
+from jaxplore.settings.node import NodeSettings, cloud_view, full_topic
 from jaxplore.settings.readers import read_values
 from jaxplore.settings.ros_names import check_namespace
 from jaxplore.settings.sections import read_settings
@@ -145,6 +147,10 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
             mount=control.lidar_mount(node),
             no_echo=NoEcho(node.no_echo, pilot.task.perception.resolution),
             view=view,
+            further=further_lidars(
+                *(node, pilot.sensor, control.lidar_mount(node)),
+                *(pilot.task.perception.resolution, partial(full_topic, node)),
+            ),
             on_progress=lambda seconds: advance(0.0, f"{seconds:.0f} s of {scan} and {pose}"),
         )
     if not pilot.log.num_steps:

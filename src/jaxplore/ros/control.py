@@ -26,9 +26,11 @@ from jaxplore.parts.battery.robot import Battery
 from jaxplore.ros import map_messages, messages
 from jaxplore.ros.command_publisher import CommandPublisher
 from jaxplore.ros.drive_publisher import DrivePublisher
+from jaxplore.ros.further_lidars import FurtherLidars, further_lidars
 from jaxplore.ros.inputs import (
     Silence,
     subscribe_battery,
+    subscribe_further,
     subscribe_pose,
     subscribe_scan,
 )
@@ -210,11 +212,19 @@ class ControlNode:
             self._transforms = transforms = Transforms()
             self._action = PathAction(link, pilot, settings, self._place_of)
         has_scans = self._action is None or self._action.has_scans
-        self._silence = Silence(link, topics[not has_scans :], settings.give_up_after)
-        no_echo = NoEcho(settings.no_echo, pilot.task.perception.resolution)
-        mount = lidar_mount(settings)
+        margin, mount = pilot.task.perception.resolution, lidar_mount(settings)
+        self._further: FurtherLidars | None = None
         if has_scans:
-            subscribe_scan(link, settings, pilot.sensor, mount, no_echo, self._take_scan)
+            self._further = further_lidars(settings, pilot.sensor, mount, margin, link.topic)
+        further = () if self._further is None else self._further.topics
+        heard = (*topics[not has_scans :], *further)
+        self._silence = Silence(link, heard, settings.give_up_after)
+        if has_scans:
+            no_echo = NoEcho(settings.no_echo, margin)
+            lidar = settings, pilot.sensor, mount, no_echo
+            subscribe_scan(link, *lidar, self._take_scan, self._further)
+        if self._further is not None:
+            subscribe_further(link, self._further, self._silence.hear)
         subscribe_pose(link, settings, self._take_pose, transforms)
         self._battery = pilot.task.perception.part(Battery)
         if self._battery is not None:
@@ -284,6 +294,8 @@ class ControlNode:
     def _take_pose(self, pose: messages.Odometry) -> None:
         self._silence.hear(self._pose_topic)
         self._last_pose = pose
+        if self._further is not None:
+            self._further.add_pose(pose)
         with self._lock:
             self._poses.append(pose)
         if self._action is None or self._action.has_scans:

@@ -9,6 +9,7 @@ from typing import Any
 from jaxplore.onboard.drive_clock import Instant
 from jaxplore.ros import messages
 from jaxplore.ros.clouds import scan_of_cloud
+from jaxplore.ros.further_lidars import FurtherLidars
 from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
 from jaxplore.ros.transforms import Transforms
@@ -191,6 +192,28 @@ def subscribe_battery(
     link.subscribe(link.ros.BatteryState, link.topic(settings.battery_topic), take_battery)
 
 
+def subscribe_further(link: Link, further: FurtherLidars, hear: Callable[[str], None]) -> None:
+    """Subscribe to the further lidars; `hear` gets the topic of each scan."""
+
+    def subscribe(topic: str) -> None:
+        check = _FrameCheck(topic)
+
+        def take_scan(message: Any) -> None:
+            received = link.instant()
+            check(messages.text_of(message.header.frame_id))
+            scan = further.read(topic, message, received)
+            news = further.news(topic)
+            if news:
+                link.info(news)
+            link.warn_of_clock(topic, scan.time, received)
+            hear(topic)
+
+        link.subscribe(link.ros.LaserScan, topic, take_scan)
+
+    for topic in further.topics:
+        subscribe(topic)
+
+
 def subscribe_scan(
     link: Link,
     settings: NodeSettings,
@@ -198,11 +221,12 @@ def subscribe_scan(
     mount: Mount,
     no_echo: NoEcho,
     take: Callable[[messages.LaserScan], None],
+    further: FurtherLidars | None = None,
 ) -> None:
     """Subscribe to the lidar; `take` gets each scan with its arrival.
 
     Messages that are malformed, or of another lidar, give a warning. What `no_echo` finds is
-    logged. With `node.cloud` the messages are clouds.
+    logged. With `node.cloud` the messages are clouds. Scans are completed by `further` lidars.
     """
     view = cloud_view(settings)
     topic = link.topic(settings.scan_topic)
@@ -219,7 +243,8 @@ def subscribe_scan(
             no_echo.news = ""
         check(scan.frame)
         link.warn_of_clock(topic, scan.time, received)
-        take(scan._replace(received=received))
+        scan = scan._replace(received=received)
+        take(scan if further is None else further.complete(scan))
 
     if view is None:
         link.subscribe(link.ros.LaserScan, topic, take_scan)

@@ -13,6 +13,7 @@ from jaxplore.parts.battery.robot import Battery
 from jaxplore.ros import messages
 from jaxplore.ros.bag import BagMessage, bag_topics, choose_topic, read_bag
 from jaxplore.ros.clouds import scan_of_cloud
+from jaxplore.ros.further_lidars import FurtherLidars
 from jaxplore.ros.messages import Mount
 from jaxplore.ros.transforms import Transforms
 from jaxplore.sensing.cloud_view import CloudView
@@ -90,6 +91,7 @@ def replay(
     mount: Mount | None = None,
     no_echo: NoEcho | None = None,
     view: CloudView | None = None,
+    further: FurtherLidars | None = None,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Replayed:
     """Feed a bag to a pilot, in the order and at the times of its messages.
@@ -101,7 +103,8 @@ def replay(
     Where the topic of the pose has transforms, the pose follows from a chain of those of all
     topics, such as `map -> odom -> base_link`. `no_echo` says which readings met nothing; when
     absent, the rule `auto` does. With a `view` the scans are made of clouds, which that topic has.
-    `on_progress` gets the recorded time since the first message [s].
+    The scans are completed by those of `further` lidars. `on_progress` gets the recorded time since
+    the first message [s].
 
     Raises:
         ValueError: a bag that cannot be read; transforms without a frame of a robot; a robot with a
@@ -119,6 +122,9 @@ def replay(
     topics = [scan, pose] if chain is None else [scan, *chain.topics]
     # The charge decides when the robot returns, so the drive of one with a battery tells it.
     part, battery = pilot.task.perception.part(Battery), None
+    if further is not None:
+        for topic in further.topics:
+            topics.append(choose_topic(bag_topics(path), "LaserScan", topic))
     if part is not None:
         battery = choose_topic(bag_topics(path), "BatteryState")
         topics.append(battery)
@@ -140,14 +146,25 @@ def replay(
             due += pilot.period
         on_progress(each.time - began)
         number += 1
+        received = Instant(each.time - skipped)
         try:
             if part is not None and each.topic == battery:
                 energy = messages.battery_share_of(each.message) * float(part.capacity)
-                pilot.add_look(part.name, energy, Instant(each.time - skipped))
-            elif chain is not None and each.topic != scan:
-                chain.feed(pilot, each, skipped)
+                pilot.add_look(part.name, energy, received)
+            elif further is not None and each.topic in further.topics:
+                further.read(each.topic, each.message, received, skipped)
+            elif each.topic == scan:
+                seen = read_scan(each.message)
+                seen = seen._replace(time=seen.time - skipped, received=received)
+                seen = seen if further is None else further.complete(seen)
+                pilot.add_scan(seen.time, seen.scan, seen.points, received, seen.sweep)
             else:
-                _feed(pilot, each, skipped, read_scan if each.topic == scan else None)
+                place = messages.odometry_of(each.message) if chain is None else chain.feed(each)
+                if place is not None:
+                    place = place._replace(time=place.time - skipped, received=received)
+                    if further is not None:
+                        further.add_pose(place)
+                    pilot.add_odometry(place.time, place.pose, place.twist, received)
         except (ValueError, TypeError, OverflowError, AttributeError) as error:
             malformed += 1
             reason = reason or " ".join(str(error).split())
@@ -199,36 +216,17 @@ class _Chain:
             found._add(one, is_static=True)
         return found
 
-    def feed(self, pilot: Pilot, given: BagMessage, skipped: float) -> None:
-        """Take transforms, and give the pose that follows from them to the pilot."""
+    def feed(self, given: BagMessage) -> messages.Odometry | None:
+        """Take transforms, and return the pose that follows from them, if there is a new one."""
         for one in given.message.transforms:
             self._add(one, is_static=given.topic.endswith(STATIC))
         place = self._transforms.pose(self._world, self._robot)
-        if place is not None and place.time != self._latest:
-            self._latest = place.time
-            received = Instant(given.time - skipped)
-            pilot.add_odometry(place.time - skipped, place.pose, None, received)
+        if place is None or place.time == self._latest:
+            return None
+        self._latest = place.time
+        return place
 
     def _add(self, one: Any, *, is_static: bool) -> None:
         # A camera's transform that is wrong does not take the robot's away.
         with contextlib.suppress(ValueError):
             self._transforms.add(one, is_static=is_static)
-
-
-def _feed(
-    pilot: Pilot,
-    given: BagMessage,
-    skipped: float,
-    read_scan: Callable[[Any], messages.LaserScan] | None,
-) -> None:
-    """Give a message to the pilot, with its stamp and the time at which it was recorded.
-
-    It is a scan if there is a function that reads it, and a pose otherwise.
-    """
-    received = Instant(given.time - skipped)
-    if read_scan is not None:
-        scan = read_scan(given.message)
-        pilot.add_scan(scan.time - skipped, scan.scan, scan.points, received, scan.sweep)
-    else:
-        place = messages.odometry_of(given.message)
-        pilot.add_odometry(place.time - skipped, place.pose, place.twist, received)

@@ -78,6 +78,10 @@ Axes = NonNegative | tuple[NonNegative, NonNegative, NonNegative]
 Bounds = Positive | tuple[Positive | None, Positive | None, Positive | None] | None
 
 
+MOST_LIDARS = 8
+"""Greatest number of lidars beside the first one."""
+LidarPlaces = Annotated[dict[Topic, tuple[Real, Real, Real]], Field(max_length=MOST_LIDARS)]
+"""Places (x, y, yaw) of upright lidars by topic [m, m, degrees]."""
 SensorTilt = Annotated[float, Field(ge=-180, le=180)]
 
 
@@ -175,6 +179,8 @@ class NodeSettings(Section):
         path_topic: topic of the paths to follow, `nav_msgs/Path`.
         scan_topic: topic of the lidar, `sensor_msgs/LaserScan`, or `sensor_msgs/PointCloud2` with a
             section `node.cloud`.
+        further_lidars: places (x, y, yaw) of lidars that complete the scans of the first one, by
+            the topic of each [m, m, degrees]; they are upright.
         cloud: a 3-D lidar or a depth camera in place of the lidar; none when absent.
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
         pose_type: type of the pose's messages; `tf` follows the transforms from `world_frame` to
@@ -218,6 +224,7 @@ class NodeSettings(Section):
     goal_action: Annotated[Topic, CHOOSING] = "navigate_to_pose"
     path_topic: Annotated[Topic, FOLLOWING] = "plan"
     scan_topic: Topic = "scan"
+    further_lidars: LidarPlaces = Field(default_factory=dict)
     cloud: CloudSettings | None = None
     pose_topic: Annotated[Topic, EVERY] = "odom"
     pose_type: Annotated[Literal["odometry", "pose", "tf"], EVERY] = "odometry"
@@ -269,6 +276,26 @@ def part_node(entries: Mapping[str, Any]) -> tuple[dict[str, Any], NodeSettings]
     run = dict(entries)
     node = {"node": run.pop("node")} if "node" in run else {}
     return run, check_section(DriveSettings, node).node
+
+
+def check_sensors(settings: NodeSettings) -> None:
+    """Raise a `ValueError` if a sensor is outside of its band, or a topic is that of two lidars."""
+    cloud_view(settings)
+    names = [full_topic(settings, each) for each in settings.further_lidars]
+    names.append(full_topic(settings, settings.scan_topic))
+    if len(set(names)) < len(names):
+        twice = next(each for each in names if names.count(each) > 1)
+        raise ValueError(
+            f"setting node.further_lidars has the topic {twice} of another lidar; accepted: a "
+            "topic for each lidar, and another one than node.scan_topic"
+        )
+
+
+def full_topic(settings: NodeSettings, name: str) -> str:
+    """Return the full name of a topic, without ROS."""
+    if name.startswith(("/", "~")):
+        return name
+    return f"/{name}" if settings.namespace is None else f"/{settings.namespace}/{name}"
 
 
 def cloud_view(settings: NodeSettings) -> CloudView | None:

@@ -36,7 +36,7 @@ from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.robot.localisation import Localisation
 from jaxplore.settings.code_names import is_own
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.node import NodeSettings, cloud_view, part_node
+from jaxplore.settings.node import NodeSettings, check_sensors, part_node
 from jaxplore.settings.readers import read_values
 from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -61,8 +61,7 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
     pose from another program.
     """
     run, node = part_node(entries)
-    # A sensor outside of its band is refused before anything is compiled.
-    cloud_view(node)
+    check_sensors(node)
     given = {name: value for name, value in run.items() if name not in NO_PART}
     if node.pose == "external":
         # That of a simulated robot: this one gets its pose.
