@@ -179,8 +179,11 @@ def test_the_node_hears_all_lidars() -> None:
     link.instant = lambda: Instant(10.0, 7.0)
     link.warn_of_clock = lambda *_: None
     further = lidars()
-    lidar = NodeSettings(), SENSOR, FRONT, NoEcho()
-    subscribe_scan(link, *lidar, taken.append, further)
+
+    def take(scan) -> None:
+        taken.append(further.complete(scan))
+
+    subscribe_scan(link, NodeSettings(), SENSOR, FRONT, NoEcho(), take)
     subscribe_further(link, further, heard.append)
     assert set(link.handles) == {"/scan", "/rear"}
     with pytest.raises(ValueError, match=r"the scan of /rear is missing"):

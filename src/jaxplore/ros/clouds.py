@@ -71,10 +71,10 @@ def cloud_points(message: Any) -> np.ndarray:
     with np.errstate(invalid="ignore", over="ignore"):
         for axis, (kind, offset) in enumerate(read if count else ()):
             points[axis] = np.ndarray((height, width), kind, held, offset, (row, step))
-    points = points.reshape(3, count)
+    flat: np.ndarray = points.reshape(3, count)
     # NaN fails the comparison.
-    is_near = np.logical_and.reduce(np.abs(points) <= MOST_DISTANCE)
-    return points if is_near.all() else _chosen(points, is_near)
+    is_near = np.logical_and.reduce(np.abs(flat) <= MOST_DISTANCE)
+    return flat if is_near.all() else _chosen(flat, is_near)
 
 
 def _size(message: Any, name: str) -> int:

@@ -221,8 +221,7 @@ class ControlNode:
         self._silence = Silence(link, heard, settings.give_up_after)
         if has_scans:
             no_echo = NoEcho(settings.no_echo, margin)
-            lidar = settings, pilot.sensor, mount, no_echo
-            subscribe_scan(link, *lidar, self._take_scan, self._further)
+            subscribe_scan(link, settings, pilot.sensor, mount, no_echo, self._take_scan)
         if self._further is not None:
             subscribe_further(link, self._further, self._silence.hear)
         subscribe_pose(link, settings, self._take_pose, transforms)
@@ -282,6 +281,8 @@ class ControlNode:
 
     def _take_scan(self, scan: messages.LaserScan) -> None:
         self._silence.hear(self._scan_topic)
+        if self._further is not None:
+            scan = self._further.complete(scan)
         seen: messages.LaserScan | None = scan
         if self._action is not None:
             seen = self._action.see(scan, self._last_pose)

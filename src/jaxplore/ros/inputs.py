@@ -221,12 +221,11 @@ def subscribe_scan(
     mount: Mount,
     no_echo: NoEcho,
     take: Callable[[messages.LaserScan], None],
-    further: FurtherLidars | None = None,
 ) -> None:
     """Subscribe to the lidar; `take` gets each scan with its arrival.
 
     Messages that are malformed, or of another lidar, give a warning. What `no_echo` finds is
-    logged. With `node.cloud` the messages are clouds. Scans are completed by `further` lidars.
+    logged. With `node.cloud` the messages are clouds.
     """
     view = cloud_view(settings)
     topic = link.topic(settings.scan_topic)
@@ -243,8 +242,7 @@ def subscribe_scan(
             no_echo.news = ""
         check(scan.frame)
         link.warn_of_clock(topic, scan.time, received)
-        scan = scan._replace(received=received)
-        take(scan if further is None else further.complete(scan))
+        take(scan._replace(received=received))
 
     if view is None:
         link.subscribe(link.ros.LaserScan, topic, take_scan)
