@@ -222,6 +222,17 @@ def test_an_empty_cloud_is_a_scan_without_a_measurement() -> None:
     np.testing.assert_array_equal(ends.ranges, np.full(36, 5.0, np.float32))
 
 
+def test_what_is_too_near_is_left_out_and_what_is_far_is_cut() -> None:
+    near = cloud_message([(1.5, 0.0, 0.0), (0.0, 2.5, 0.0), (0.5, 0.0, -0.4)])
+    found = scan_of_cloud(near, SENSOR, Mount(), CloudView(0.4, least_range=2.0))
+    np.testing.assert_allclose(found.points, [[0.0, 2.5]], atol=1e-6)
+    assert (np.asarray(found.scan.ranges) > 0.0).sum() == 1
+    # The sensor's range is 5 m: of a return beyond it, and of a ray to 9 m, that much is free.
+    ends = scan_of_ends(SENSOR, np.array([[7.0], [0.0]]), np.array([[0.0], [9.0]]))
+    assert np.asarray(ends.ranges)[[18, 27]].tolist() == [5.0, 5.0]
+    assert not np.asarray(ends.is_return).any()
+
+
 POINTS = [(1.0, 2.0, 3.0)] * 6
 XYZ = {name: 4 * i for i, name in enumerate("xyz")}
 
