@@ -160,7 +160,7 @@ def _match(one: Seen, other: Seen) -> _Outcome:
     seconds = time.process_time() - start
     true = true_pose(one, other)
     # In the middle of the other map: its frame may be far away.
-    middle = np.asarray(other.grid.frame.to_world(jnp.array(other.grid.shape) / 2.0))
+    middle = np.asarray(other.grid.frame.to_world(0.5 * jnp.asarray(other.grid.shape, jnp.float32)))
     error = match.pose - true
     error[2] = math.remainder(error[2], math.tau)
     away = _placed(match.pose, middle) - _placed(true, middle)

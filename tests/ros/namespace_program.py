@@ -34,7 +34,10 @@ class Pilot:
     def __init__(self) -> None:
         self.sensor, self.controller = LIDAR, Softmax(0.3)
         self.task = SimpleNamespace(perception=SimpleNamespace(resolution=0.1, part=lambda _: None))
-        self.ranges, self.positions, self.correction = set(), set(), np.zeros(3)
+        self.ranges, self.positions = set(), set()
+        self.correction, self.pose = np.zeros(3), np.zeros(3)
+        self.has_map_frame, self.finds_itself = True, False
+        self.session, self.lost = None, ""
 
     def make_frame(self):
         return SimpleNamespace()

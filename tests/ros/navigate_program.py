@@ -24,7 +24,7 @@ from jaxplore.ros.link import connect
 from jaxplore.settings.node import NodeSettings
 from jaxplore.tasks.exploration.pilot import build_goal_chooser, make_node_settings
 
-PATIENCE = 300.0
+PATIENCE = 900.0
 """Longest time that anything may take on a busy machine [s]."""
 CELL, SEEN = 0.1, 3.0
 """Side of a cell, and how far the robot sees [m]."""
