@@ -82,7 +82,9 @@ class Site:
         start = np.array([*self.nodes[node], rng.uniform(-math.pi, math.pi)])
         frame = _compose(start, motions_between(own[None], np.zeros((1, 3)))[0])
         # A grid around all of the world.
-        centre = np.asarray(self.world.frame.to_world(jnp.asarray(self.world.shape, jnp.float32) / 2.0))
+        centre = np.asarray(
+            self.world.frame.to_world(jnp.asarray(self.world.shape, jnp.float32) / 2.0)
+        )
         middle = motions_between(frame[None], np.array([[*centre, 0.0]]))[0, :2]
         number = math.ceil(self.reach / self.resolution)
         corner = middle - 0.5 * number * self.resolution
