@@ -23,7 +23,7 @@ LARGE = 400
 """Instructions of a large program."""
 LAYERS = {"make test": ("not long",), "make test-all": ("not long", "long")}
 """Layers that a command runs."""
-MOST_LARGE = {"make test": 285, "make test-all": 1260}
+MOST_LARGE = {"make test": 289, "make test-all": 1260}
 """Large programs that a command compiles. Raising a budget needs a reason in the commit."""
 MOST_LOOPS = {"make test": 17, "make test-all": 77}
 """Closed loops among them."""
